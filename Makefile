@@ -1,0 +1,94 @@
+# Everything here needs only make and a Python ≥ 3.11; `make` alone says what there is.
+
+VENV ?= .venv
+ROBOT_VENV ?= .venv-robot
+PYTHON ?=
+UV ?= uv
+PYTEST = $(VENV)/bin/python -m pytest
+
+SIM = $(VENV)/.ready-sim
+DEV = $(VENV)/.ready-dev
+ROBOT = $(ROBOT_VENV)/.ready-robot
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow lint types robot-test bench pins clean
+
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo
+	@echo "Variables: PYTHON=python3.13 (to make the environment with), VENV=.venv (where it lies)"
+
+demo: $(SIM)  ## the whole story: sweep, tune, freeze, replay, with pictures
+	@$(VENV)/bin/jaxmpc demo
+
+test: $(DEV)  ## the tests, without the slow ones
+	@$(PYTEST)
+
+test-slow: $(DEV)  ## the slow tests
+	@$(PYTEST) -m "slow and not hardware"
+
+lint: $(DEV)  ## ruff: mistakes and format
+	@$(VENV)/bin/ruff check
+	@$(VENV)/bin/ruff format --check
+
+types: $(DEV)  ## mypy --strict on the four packages
+	@$(VENV)/bin/mypy
+
+# The addopts of pyproject.toml need the workstation, so they are replaced here.
+robot-test: $(ROBOT)  ## the robot's tests, where only numpy, python-can and pytest are
+	@if $(ROBOT_VENV)/bin/python -c "import jax" 2>/dev/null; then \
+		echo "$(ROBOT_VENV) holds jax: remove it and try again" >&2; exit 1; fi
+	@$(ROBOT_VENV)/bin/python -m pytest tests/deploy \
+		-o addopts="--import-mode=importlib --strict-markers" -m "not slow and not hardware"
+
+bench: $(DEV)  ## sweep throughput beside its peers
+	@$(VENV)/bin/python -m benchmarks.sweep_throughput
+
+COMPILE = $(UV) pip compile pyproject.toml --python-version 3.11 --universal \
+	--generate-hashes --no-header --no-annotate --quiet $(UV_FLAGS)
+
+pins:  ## pin the dependencies anew (needs uv); UV_FLAGS=--upgrade takes newer versions
+	@command -v $(UV) >/dev/null || { echo "make pins needs uv: install it, or name it by UV=…" >&2; exit 1; }
+	$(COMPILE) --extra dev --group build -o requirements-dev.txt
+	$(COMPILE) --extra sim --group build -c requirements-dev.txt -o requirements.txt
+	$(COMPILE) --group robot -c requirements-dev.txt -o requirements-robot.txt
+
+clean:  ## remove environments, caches and builds; results stay
+	rm -rf .venv .venv-* .*_cache .hypothesis build dist
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+# A stamp inside each environment says that its packages are those of its pins.
+$(SIM): requirements.txt pyproject.toml
+	@$(call install,$(VENV),requirements.txt)
+	@touch $@
+
+$(DEV): requirements-dev.txt requirements.txt pyproject.toml
+	@$(call install,$(VENV),requirements-dev.txt)
+	@touch $@ $(SIM)
+
+$(ROBOT): requirements-robot.txt pyproject.toml
+	@$(call install,$(ROBOT_VENV),requirements-robot.txt)
+	@touch $@
+
+# Two calls of pip, because it refuses an editable package where it demands hashes.
+define install
+set -e; \
+if [ ! -x $(1)/bin/pip ]; then \
+	python=; found=; \
+	for candidate in $(or $(PYTHON),python3 python3.14 python3.13 python3.12 python3.11); do \
+		version=$$($$candidate -c 'import sys; print("%d.%d.%d" % sys.version_info[:3])' 2>/dev/null) || continue; \
+		found="$$found $$candidate is $$version;"; \
+		if $$candidate -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then python=$$candidate; break; fi; \
+	done; \
+	if [ -z "$$python" ]; then \
+		echo "jaxmpc needs Python 3.11 or newer; found:$${found:- none;} name one by PYTHON=…" >&2; exit 1; \
+	fi; \
+	echo "setting up $(1) with Python $$version (about a minute, once) …"; \
+	$$python -m venv $(1); \
+else \
+	echo "bringing $(1) up to date …"; \
+fi; \
+pip="$(1)/bin/python -m pip --disable-pip-version-check --no-input install --quiet"; \
+$$pip --require-hashes -r $(2); \
+$$pip --no-deps --no-build-isolation -e .
+endef

@@ -1,0 +1,48 @@
+"""A differentiable batch simulator for tuning a robot's force controller, and the road from there to the robot.
+
+Importing this package loads no JAX: the names below are fetched when they are first used.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxmpc.evaluation import Outcome, evaluate
+    from jaxmpc.experiment import Experiment
+    from jaxmpc.params import Params, Timing
+    from jaxmpc.stability import Margins, margins
+    from jaxmpc.status import Status
+    from jaxmpc.synthesis import design
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Experiment": "jaxmpc.experiment",
+    "Margins": "jaxmpc.stability",
+    "Outcome": "jaxmpc.evaluation",
+    "Params": "jaxmpc.params",
+    "Status": "jaxmpc.status",
+    "Timing": "jaxmpc.params",
+    "design": "jaxmpc.synthesis",
+    "evaluate": "jaxmpc.evaluation",
+    "margins": "jaxmpc.stability",
+}
+
+__all__ = [
+    "Experiment",
+    "Margins",
+    "Outcome",
+    "Params",
+    "Status",
+    "Timing",
+    "design",
+    "evaluate",
+    "margins",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'jaxmpc' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_HOME[name]), name)

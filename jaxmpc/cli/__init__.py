@@ -1,0 +1,55 @@
+"""The command line: one verb a module, loaded only when it is used."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from jaxmpc.errors import InputError
+
+VERBS = {
+    "demo": "the whole story in one go: paper → sweep → tune → freeze → replay, with pictures",
+    "simulate": "one experiment: table, margins, figures",
+    "sweep": "many controllers over a set of stiffnesses; run it again to resume; `sweep report` shows it",
+    "tune": "gradient autotuning, worst case over stiffness, margins held",
+    "freeze": "parameters → a sealed controller for the robot",
+    "check": "replay a frozen controller's golden trace, print its limits and margins",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; exit code 0: done, 1: the job failed, 2: wrong input, 130: interrupted."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    parser = argparse.ArgumentParser(
+        prog="jaxmpc",
+        description="Tune a cascade MPC-AOB force controller in simulation and take it to the robot.",
+        epilog="`jaxmpc VERB --help` says more of each.",
+    )
+    parser.add_argument("--version", action="version", version=_version())
+    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    chosen = next((word for word in argv if not word.startswith("-")), None)
+    for verb, text in VERBS.items():
+        subparser = subparsers.add_parser(verb, help=text, description=text[0].upper() + text[1:] + ".")
+        if verb == chosen:
+            module = import_module(f"jaxmpc.cli.{verb}")
+            module.configure(subparser)
+    args = parser.parse_args(argv)
+    try:
+        return int(module.run(args))
+    except InputError as error:
+        print(f"jaxmpc {args.verb}: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        if error.name not in ("jax", "equinox", "optax", "msgspec", "tomli_w", "rich", "matplotlib", "xarray"):
+            raise
+        print(f"jaxmpc {args.verb}: it needs {error.name}: install the workstation, jaxmpc[sim]", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"\njaxmpc {args.verb}: interrupted", file=sys.stderr)
+        return 130
+
+
+def _version() -> str:
+    from jaxmpc import __version__
+
+    return f"jaxmpc {__version__}"

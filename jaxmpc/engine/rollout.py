@@ -1,0 +1,137 @@
+"""The closed loop over time as a scan: law, world, imperfections and metrics of one axis, step by step."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxmpc.law import cascade
+from jaxmpc.law.cascade import Gains
+from jaxmpc.metrics import Totals, add, merge, nothing
+from jaxmpc.world import contact as world
+from jaxmpc.world.contact import Contact
+
+Scalar = Float[Array, ""]
+
+STRETCH = 125
+"""Samples between two checkpoints of the reverse mode and two partial sums of the metrics."""
+
+
+class AxisSignals(NamedTuple):
+    """What one axis meets, sample by sample."""
+
+    heart: Float[Array, " steps"]
+    noise: Float[Array, " steps"]
+    force_ref: Float[Array, "steps ahead"]
+    score: Array
+
+
+class Sample(NamedTuple):
+    """What a recorded run keeps of one sample."""
+
+    force: Scalar
+    """Measured force [N]."""
+    force_ref: Array
+    """Wanted force: what the controller was told, one value or H_p of them [N]."""
+    u: Scalar
+    """MPC output [N]."""
+    v: Scalar
+    """Command of the cascade [m/s²]."""
+    a: Scalar
+    """Acceleration asked of the robot [m/s²]."""
+    p_hat: Scalar
+    """Estimated disturbance [m/s²]."""
+    tip: Scalar
+    """Tip position [m]."""
+
+
+class Carry(NamedTuple):
+    """State of the whole loop between two samples."""
+
+    controller: cascade.ControllerState
+    contact: world.ContactState
+    a: Scalar
+
+
+@jax.custom_jvp
+def straight_through_floor(value: Array) -> Array:
+    """Floor whose tangent is that of the identity: the true one is zero and would hide the loop from a tuner."""
+    return jnp.floor(value)
+
+
+@straight_through_floor.defjvp
+def _floor_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Array, Array]:
+    return jnp.floor(primals[0]), tangents[0]
+
+
+def scalars(gains: Gains, preview: bool) -> Gains:
+    """Gains with every vector taken apart into scalars, as the law's inner loop wants them."""
+    apart = Gains(*(tuple(field) if jnp.ndim(field) == 1 else field for field in gains))
+    summed: Gains = apart if preview else apart._replace(mpc_ref=(jnp.sum(gains.mpc_ref),))
+    return summed
+
+
+def start(gains: Gains) -> Carry:
+    """The loop at rest: the tip touches without force."""
+    zero = jnp.zeros_like(gains.mpc_u)
+    return Carry(cascade.init(zero), world.init(zero), zero)
+
+
+def advance(gains: Gains, contact: Contact, lsb: Scalar, carry: Carry, signals: AxisSignals) -> tuple[Carry, Sample]:
+    """One sample of the closed loop.
+
+    Args:
+        gains: The controller, taken apart by `scalars`.
+        contact: The world.
+        lsb: Quantisation of the force sensor [N]; 0 is none.
+        carry: State.
+        signals: What is met at this sample.
+    """
+    clean, state = world.sense(contact, carry.contact, signals.heart)
+    noisy = clean + signals.noise
+    quantised = world.quantise(noisy, jnp.where(lsb > 0.0, lsb, 1.0), straight_through_floor)
+    force = jnp.where(lsb > 0.0, quantised, noisy)
+    controller, v = cascade.step(gains, carry.controller, force, tuple(signals.force_ref))
+    tip = state.x
+    state, a = world.move(contact, state, v)
+    sample = Sample(force, signals.force_ref, controller.u, v, a, controller.p_hat, tip)
+    return Carry(controller, state, a), sample
+
+
+def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> Totals:
+    """Metrics of one axis over a whole experiment.
+
+    Time runs in stretches: each is one checkpoint of the reverse mode and one partial sum, so that
+    gradients need the memory of √steps states and float32 sums keep their digits.
+    """
+    steps = len(signals.heart)
+    full = -(-steps // STRETCH) * STRETCH
+
+    def stretches(signal: Array) -> Array:
+        padded = jnp.pad(signal, [(0, full - steps)] + [(0, 0)] * (signal.ndim - 1))
+        return padded.reshape(-1, STRETCH, *signal.shape[1:])
+
+    def one(state: tuple[Carry, Totals], now: AxisSignals) -> tuple[tuple[Carry, Totals], None]:
+        carry, totals = state
+        following, sample = advance(gains, contact, lsb, carry, now)
+        error = sample.force - now.force_ref[0]
+        totals = add(totals, now.score, error, sample.a, sample.a - carry.a, sample.force)
+        return (following, totals), None
+
+    @jax.checkpoint
+    def stretch(state: tuple[Carry, Totals], part: AxisSignals) -> tuple[tuple[Carry, Totals], None]:
+        carry, totals = state
+        (carry, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, nothing(carry.a)), part)
+        return (carry, merge(totals, partial)), None
+
+    carry = start(gains)
+    parts = AxisSignals(*map(stretches, signals))
+    (_, totals), _ = jax.lax.scan(stretch, (carry, nothing(carry.a)), parts)
+    return totals
+
+
+def record(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> Sample:
+    """Every sample of one axis over a whole experiment, each field of shape (steps, …)."""
+    _, samples = jax.lax.scan(lambda carry, now: advance(gains, contact, lsb, carry, now), start(gains), signals)
+    return samples

@@ -1,0 +1,110 @@
+"""The cascade controller of one axis: AOB estimate → MPC move → acceleration.
+
+Only `+ - * /` on scalars. JAX traces this source for simulation, the robot records it once into a
+straight-line function; there is no second implementation. With ŷ = C x̂⁻ and [P] the paper:
+
+    x̂⁻ₖ = Φᵣ x̂ₖ₋₁ + Γᵣ (vₖ₋₁ + p̂ₖ₋₁),  p̂⁻ₖ = p̂ₖ₋₁          [P] (13), open-loop form
+    (x̂ₖ, p̂ₖ) = (x̂⁻ₖ, p̂⁻ₖ) + K (yₖ − ŷₖ)                    [P] (11)
+    uₖ = uₖ₋₁ + Σᵢ rᵢ F_d,ₖ₊ᵢ − mₓ x̂ₖ[:2] − mᵤ uₖ₋₁            [P] (29), first row
+    vₖ = g uₖ − L x̂ₖ − p̂ₖ                                     [P] Fig. 1, g = L₁
+
+Erratum: eq. (12) prints [C 1]; [C 0] is needed to obtain (33).
+Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain of 1 (Fig. 1 shows L₁).
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+Scalar = Any
+"""A float, a traced JAX scalar, a batch of either, or a recorded operation."""
+
+
+class Gains(NamedTuple):
+    """Everything the law needs to know of one controller.
+
+    A field is a scalar or a sequence of scalars; in a batch each has the batch's leading dimensions.
+    The MPC output u is a force [N]; for the architecture "mpc" it is the acceleration v itself [m/s²].
+    """
+
+    phi: Sequence[Scalar]
+    """φ₁₂ [s] and φ₂₂ [-] of the contact model Φ₂ = [[1, φ₁₂], [0, φ₂₂]], shape (2,)."""
+    gamma: Sequence[Scalar]
+    """Γ₂: force [N] and force rate [N/s] gained in one sample per acceleration [m/s²], shape (2,)."""
+    K: Sequence[Scalar]
+    """Kalman gain: force [-], force rate [1/s], delayed input [m/s²/N], active state [m/s²/N], shape (4,)."""
+    L: Sequence[Scalar]
+    """State feedback: force [m/s²/N], force rate [m/s/N], delayed input [-], shape (3,)."""
+    input_gain: Scalar
+    """g, acceleration per unit of u: L₁ [m/s²/N] makes the DC gain u → y one."""
+    mpc_ref: Sequence[Scalar]
+    """Weights r on the force reference 1…n samples ahead [-], shape (n,); their sum acts on a constant."""
+    mpc_x: Sequence[Scalar]
+    """MPC feedback of the estimated force [-] and force rate [s], shape (2,)."""
+    mpc_u: Scalar
+    """MPC feedback of the previous output [-]."""
+
+
+class ControllerState(NamedTuple):
+    """What one axis remembers between two samples."""
+
+    x_hat: tuple[Scalar, Scalar, Scalar]
+    """Estimate of force [N], force rate [N/s] and delayed input [m/s²]."""
+    p_hat: Scalar
+    """Active state: estimated disturbance at the input [m/s²]."""
+    u: Scalar
+    """Previous MPC output, the force reference of the inner loop [N]."""
+    v: Scalar
+    """Previous command [m/s²]. After a clamp, put what was really applied: `state._replace(v=…)`."""
+
+
+def init(force: Scalar = 0.0) -> ControllerState:
+    """State at rest in contact with a measured force [N]: no rate, no disturbance, no command."""
+    zero = 0.0 * force
+    return ControllerState((force, zero, zero), zero, force, zero)
+
+
+def estimate(gains: Gains, state: ControllerState, force: Scalar) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
+    """Active observer: predict with the command that was applied, correct with the measured force [N]."""
+    (phi_12, phi_22), (gamma_1, gamma_2) = gains.phi, gains.gamma
+    K_1, K_2, K_3, K_p = gains.K
+    y, ydot, delayed = state.x_hat
+    y_prior = y + phi_12 * ydot + gamma_1 * delayed
+    ydot_prior = phi_22 * ydot + gamma_2 * delayed
+    innovation = force - y_prior
+    x_hat = (
+        y_prior + K_1 * innovation,
+        ydot_prior + K_2 * innovation,
+        state.v + state.p_hat + K_3 * innovation,
+    )
+    return x_hat, state.p_hat + K_p * innovation
+
+
+def step(
+    gains: Gains, state: ControllerState, force: Scalar, force_ref: Sequence[Scalar]
+) -> tuple[ControllerState, Scalar]:
+    """Advance one axis by one sample.
+
+    Args:
+        gains: The controller.
+        state: What `init` or the last `step` returned.
+        force: Measured force on the tissue yₖ [N].
+        force_ref: Wanted force 1…n samples ahead [N], as many as `gains.mpc_ref` has weights; one
+            value, with the weights summed (`constant_reference`), where the future is not known.
+
+    Returns:
+        The next state and the acceleration command vₖ [m/s²]; damping is not yet subtracted.
+    """
+    x_hat, p_hat = estimate(gains, state, force)
+    u = state.u - gains.mpc_x[0] * x_hat[0] - gains.mpc_x[1] * x_hat[1] - gains.mpc_u * state.u
+    for weight, wanted in zip(gains.mpc_ref, force_ref, strict=True):
+        u = u + weight * wanted
+    v = gains.input_gain * u - gains.L[0] * x_hat[0] - gains.L[1] * x_hat[1] - gains.L[2] * x_hat[2] - p_hat
+    return ControllerState(x_hat, p_hat, u, v), v
+
+
+def constant_reference(gains: Gains) -> Gains:
+    """The same controller for a reference held constant along H_p, as in the paper: one summed weight."""
+    total = gains.mpc_ref[0]
+    for weight in gains.mpc_ref[1:]:
+        total = total + weight
+    return gains._replace(mpc_ref=(total,))

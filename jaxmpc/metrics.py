@@ -1,0 +1,95 @@
+"""What is measured of a run, gathered on the way so that no trajectory need be kept."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+Lane = Float[Array, "..."]
+
+
+class Totals(NamedTuple):
+    """Sums and extremes over the samples that count."""
+
+    count: Lane
+    error_squared: Lane
+    highest_error: Lane
+    lowest_error: Lane
+    acceleration_squared: Lane
+    change_squared: Lane
+    highest_force: Lane
+    """Over all samples, also those that do not count [N]."""
+
+
+class Metrics(NamedTuple):
+    """Metrics per controller (if batched), stiffness and axis: shape (…, stiffness, 3)."""
+
+    rms: Float[Array, "..."]
+    """Residual e = y_measured − F_d, root mean square about zero [N]."""
+    peak_to_peak: Float[Array, "..."]
+    """Largest minus smallest residual [N]."""
+    effort: Float[Array, "..."]
+    """Root mean square of the acceleration asked of the robot [m/s²]."""
+    chatter: Float[Array, "..."]
+    """Root mean square of its change from sample to sample [m/s²]."""
+    peak_force: Float[Array, "..."]
+    """Largest measured |force| over the whole run [N]."""
+
+
+def nothing(like: Lane) -> Totals:
+    """Totals before the first sample."""
+    zero = 0.0 * like
+    return Totals(zero, zero, zero - jnp.inf, zero + jnp.inf, zero, zero, zero)
+
+
+def add(totals: Totals, counts: Bool[Array, "..."], error: Lane, a: Lane, change: Lane, force: Lane) -> Totals:
+    """Totals with one more sample.
+
+    Args:
+        totals: So far.
+        counts: Whether this sample counts.
+        error: Measured minus wanted force [N].
+        a: Acceleration asked of the robot [m/s²].
+        change: Its change since the last sample [m/s²].
+        force: Measured force [N].
+    """
+    weight = counts.astype(error.dtype)
+    return Totals(
+        totals.count + weight,
+        totals.error_squared + weight * error * error,
+        jnp.where(counts, jnp.maximum(totals.highest_error, error), totals.highest_error),
+        jnp.where(counts, jnp.minimum(totals.lowest_error, error), totals.lowest_error),
+        totals.acceleration_squared + weight * a * a,
+        totals.change_squared + weight * change * change,
+        jnp.maximum(totals.highest_force, jnp.abs(force)),
+    )
+
+
+def merge(first: Totals, second: Totals) -> Totals:
+    """Totals of two stretches of time; summing stretch by stretch keeps float32 sums exact to 1e-6."""
+    return Totals(
+        first.count + second.count,
+        first.error_squared + second.error_squared,
+        jnp.maximum(first.highest_error, second.highest_error),
+        jnp.minimum(first.lowest_error, second.lowest_error),
+        first.acceleration_squared + second.acceleration_squared,
+        first.change_squared + second.change_squared,
+        jnp.maximum(first.highest_force, second.highest_force),
+    )
+
+
+def metrics(totals: Totals) -> Metrics:
+    """Metrics of a finished run."""
+
+    def root_mean(sum_of_squares: Lane) -> Lane:
+        mean = sum_of_squares / totals.count
+        # The slope of a root at 0 is infinite; a run without any residual has none to tune.
+        return jnp.where(mean > 0.0, jnp.sqrt(jnp.where(mean > 0.0, mean, 1.0)), mean)
+
+    return Metrics(
+        rms=root_mean(totals.error_squared),
+        peak_to_peak=totals.highest_error - totals.lowest_error,
+        effort=root_mean(totals.acceleration_squared),
+        chatter=root_mean(totals.change_squared),
+        peak_force=totals.highest_force,
+    )

@@ -1,0 +1,247 @@
+"""What is tuned: the parameters of one controller, or of a batch of them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from jaxmpc.errors import InputError, nearest
+
+HP_MAX = 64
+"""Longest prediction horizon [samples]; arrays along H_p have this length and are masked."""
+HU_MAX = 16
+"""Longest control horizon [samples]."""
+
+Architecture = Literal["mpc-aob", "aob", "mpc"]
+Number = Float[jax.Array | np.ndarray, "..."]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Sampling of the controller.
+
+    Attributes:
+        T_s: Sampling time [s].
+        delay: Samples between a command and its effect, 1 or 2; the design always assumes 1 [samples].
+    """
+
+    T_s: float = 1e-3
+    delay: int = 1
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.T_s) and 1e-5 <= self.T_s <= 0.1):
+            raise InputError("T_s", self.T_s, "in [1e-5, 0.1] s", "The paper's controller runs at 1e-3.")
+        if self.delay not in (1, 2):
+            raise InputError("delay", self.delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")
+
+
+BOUNDS: Mapping[str, tuple[float, float, str]] = {
+    "lam": (1e-12, 1e12, "-"),
+    "delta": (0.0, 1e12, "-"),
+    "Q_p": (1e-12, 1e12, "(m/s²)²/N²"),
+    "Q_x": (0.0, 1e12, "-"),
+    "R": (1e-12, 1e12, "-"),
+    "T_cl": (1e-6, 10.0, "s"),
+    "K2": (0.0, 1e4, "1/s"),
+    "Khat_s": (1.0, 1e6, "N/m"),
+    "Hp": (1, HP_MAX, "samples"),
+    "Hu": (1, HU_MAX, "samples"),
+}
+"""Smallest and largest accepted value and unit of every parameter."""
+
+DIAGONALS = {"lam": HU_MAX, "delta": HP_MAX}
+"""Parameters that may be one number or a full diagonal, and the length of that."""
+
+
+def _number(value: Any) -> Any:
+    """Numbers become float64 arrays; what JAX made, traced or not, stays as it is."""
+    if isinstance(value, jax.Array | np.ndarray):
+        return value
+    return np.asarray(value, np.float64)
+
+
+class Params(eqx.Module):
+    """Parameters of one controller; every leaf may have leading batch dimensions (see `stack`).
+
+    `delta` and `R` only set scales: the controller depends on λ/δ and Q/R alone.
+
+    Raises:
+        InputError: A value is not finite or out of its bounds, or H_u exceeds H_p.
+    """
+
+    lam: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.1)
+    """λ, weight on the moves of the MPC [-]: one number, or a diagonal of `HU_MAX`."""
+    delta: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.9)
+    """δ, weight on the predicted force errors [-]: one number, or a diagonal of `HP_MAX`."""
+    Q_p: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.5)
+    """Variance of the active state's increments, relative to R [(m/s²)²/N²]."""
+    Q_x: Shaped[Any, "..."] = eqx.field(converter=_number, default=1e-12)
+    """Variance of each state's process noise, relative to R [-]."""
+    R: Shaped[Any, "..."] = eqx.field(converter=_number, default=1.0)
+    """Variance of the force measurement [-]; only Q/R matters."""
+    T_cl: Shaped[Any, "..."] = eqx.field(converter=_number, default=3e-3)
+    """Time constant of the wanted closed loop [s]; below the sampling time is allowed and useful."""
+    K2: Shaped[Any, "..."] = eqx.field(converter=_number, default=10.0)
+    """Damping of the tip velocity [1/s]."""
+    Khat_s: Shaped[Any, "..."] = eqx.field(converter=_number, default=900.0)
+    """Tissue stiffness that the design assumes [N/m]."""
+    Hp: Shaped[Any, "..."] = eqx.field(converter=_number, default=30.0)
+    """Prediction horizon [samples]; whole numbers, but for a tuner on its way to one."""
+    Hu: Shaped[Any, "..."] = eqx.field(converter=_number, default=5.0)
+    """Control horizon [samples]."""
+    architecture: Architecture = eqx.field(static=True, default="mpc-aob")
+    """"mpc-aob", "aob" (u = F_d) or "mpc" (on the open-loop plant)."""
+
+    def __check_init__(self) -> None:
+        if self.architecture not in get_args(Architecture):
+            known = list(get_args(Architecture))
+            raise InputError("architecture", self.architecture, "a known one", nearest(str(self.architecture), known))
+        values = {name: getattr(self, name) for name in BOUNDS}
+        if all(isinstance(value, np.ndarray) for value in values.values()):
+            check_values(values)
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Leading dimensions; () for one controller."""
+        return tuple(self.Khat_s.shape)
+
+    @staticmethod
+    def published(name: str) -> "Params":
+        """A parameter set of the paper.
+
+        Args:
+            name: "text" (K̂_s = 900 N/m, as the paper's text says; the default baseline) or "printed"
+                (K̂_s = 500 N/m, the one to which its printed gains belong).
+
+        Raises:
+            InputError: The name is not one of these.
+        """
+        stiffness = {"text": 900.0, "printed": 500.0}
+        if name not in stiffness:
+            raise InputError("published parameters", name, "a known name", nearest(name, list(stiffness)))
+        return Params(Khat_s=stiffness[name])
+
+    @staticmethod
+    def from_dict(values: Mapping[str, Any]) -> "Params":
+        """Parameters from plain values; unnamed ones are the text design's.
+
+        A diagonal may be given up to H_u (λ) or H_p (δ) only: its last entry is repeated.
+
+        Raises:
+            InputError: An unknown name, a wrong type, or a value out of bounds.
+        """
+        known = [*BOUNDS, "architecture"]
+        given: dict[str, Any] = {}
+        for name, value in values.items():
+            if name not in known:
+                raise InputError(name, value, "a known parameter", nearest(name, known))
+            given[name] = value if name == "architecture" else _from_plain(name, value)
+        return Params(**given)
+
+    @staticmethod
+    def from_toml(path: str | Path) -> "Params":
+        """Parameters from a `params.toml`, its table [params].
+
+        Raises:
+            InputError: The file cannot be read or holds something wrong; names file, line and key.
+        """
+        from jaxmpc.spec import located, read_toml
+
+        data = read_toml(path)
+        with located(path):
+            if unknown := [key for key in data if key not in ("params", "provenance")]:
+                raise InputError(unknown[0], data[unknown[0]], "a known table", nearest(unknown[0], ["params"]))
+            if not isinstance(table := data.get("params"), dict):
+                raise InputError("params", "missing", "a table", "Put the parameters under [params].")
+            return Params.from_dict(table)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values of one controller, as `from_dict` takes them."""
+        if self.batch_shape:
+            raise InputError("params", f"a batch {self.batch_shape}", "one controller", "Take one with `params[i]`.")
+        values = {name: np.asarray(getattr(self, name)).tolist() for name in BOUNDS}
+        whole = {name: int(values[name]) for name in ("Hp", "Hu") if values[name] == int(values[name])}
+        return {"architecture": self.architecture, **values, **whole}
+
+    @staticmethod
+    def stack(batch: Sequence["Params"]) -> "Params":
+        """One batch of several controllers of the same architecture; scalars beside diagonals are widened.
+
+        Raises:
+            InputError: The batch is empty or mixes architectures.
+        """
+        if len({p.architecture for p in batch}) != 1:
+            found = ", ".join(sorted({p.architecture for p in batch})) or "none"
+            raise InputError("architecture", found, "one for the whole batch", "Evaluate each architecture by itself.")
+        columns = {}
+        for name in BOUNDS:
+            leaves = [getattr(p, name) for p in batch]
+            traced = any(isinstance(leaf, jax.Array) for leaf in leaves)
+            shape = np.broadcast_shapes(*(leaf.shape for leaf in leaves))
+            xp: Any = jnp if traced else np
+            columns[name] = xp.stack([xp.broadcast_to(leaf, shape) for leaf in leaves])
+        return Params(**columns, architecture=batch[0].architecture)
+
+    def with_columns(self, columns: Mapping[str, Any]) -> "Params":
+        """A batch of this one controller with some parameters replaced by columns of the same length.
+
+        Args:
+            columns: Values per parameter name, shape (n,), or (n, length) for a full diagonal.
+
+        Raises:
+            InputError: A value is out of bounds; names the parameter and the first such value.
+        """
+        rows = len(next(iter(columns.values())))
+        base = {name: getattr(self, name) for name in BOUNDS}
+        wide = {name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in base.items()}
+        given = {name: np.asarray(value, np.float64) for name, value in columns.items()}
+        return Params(**{**wide, **given}, architecture=self.architecture)
+
+    def __getitem__(self, row: int | slice) -> "Params":
+        """One controller, or a slice, of a batch."""
+        rows: Params = jax.tree.map(lambda leaf: leaf[row], self)
+        return rows
+
+
+def _from_plain(name: str, value: Any) -> np.ndarray:
+    """A number or a list of numbers, from a file."""
+    entries = value if isinstance(value, list) else [value]
+    if not entries or any(isinstance(x, bool) or not isinstance(x, int | float) for x in entries):
+        raise InputError(name, value, "a number", f"Its unit is [{BOUNDS[name][2]}].")
+    if not isinstance(value, list):
+        return np.asarray(value, np.float64)
+    if name not in DIAGONALS or len(value) > DIAGONALS[name]:
+        length = f"a number or at most {DIAGONALS[name]} of them" if name in DIAGONALS else "one number"
+        raise InputError(name, f"{len(value)} numbers", length, "Only lam (along Hu) and delta (along Hp) take a list.")
+    return np.asarray(value + [value[-1]] * (DIAGONALS[name] - len(value)), np.float64)
+
+
+def check_values(values: Mapping[str, np.ndarray]) -> None:
+    """Refuse values that no controller can have; works on whole batches.
+
+    Raises:
+        InputError: Names the parameter, the first wrong value, the bound and the remedy.
+    """
+    for name, value in values.items():
+        low, high, unit = BOUNDS[name]
+        wrong = ~(np.isfinite(value) & (value >= low) & (value <= high))
+        if wrong.any():
+            remedy = f"Correct {name}; a typical value is {getattr(Params(), name)} {unit}."
+            raise InputError(name, value[wrong].flat[0], f"in [{low:g}, {high:g}] {unit}", remedy)
+    for name in ("Hp", "Hu"):
+        fractional = values[name] != np.floor(values[name])
+        if fractional.any():
+            raise InputError(name, values[name][fractional].flat[0], "a whole number of samples", f"Round {name}.")
+    if (values["Hu"] > values["Hp"]).any():
+        row = np.flatnonzero(np.ravel(values["Hu"] > values["Hp"]))[0]
+        hu, hp = np.ravel(values["Hu"])[row], np.ravel(values["Hp"])[row]
+        raise InputError("Hu", f"{hu:g}", f"in [1, Hp (= {hp:g})] samples", "Lower Hu or raise Hp.")
+    if not (np.sum(values["delta"]) > 0):
+        raise InputError("delta", 0.0, "positive somewhere", "Without weight on the force error nothing is controlled.")

@@ -1,0 +1,64 @@
+"""Progress of long work: a bar on a terminal, a plain line now and then elsewhere."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Tick = Callable[[int, str], None]
+"""Called with the work done so far and a short note."""
+
+PLAIN_EVERY = 10.0
+"""Seconds between two lines where there is no terminal."""
+
+
+@contextmanager
+def progress(title: str, total: int, unit: str = "rows", enabled: bool = True) -> Iterator[Tick]:
+    """Show how far work has come, its rate and the time left, on standard error.
+
+    Args:
+        title: What is being done.
+        total: All of the work.
+        unit: What is counted.
+        enabled: False is silent (a library call, say).
+    """
+    if not enabled:
+        yield lambda done, note: None
+    elif sys.stderr.isatty():
+        yield from _bar(title, total)
+    else:
+        yield from _lines(title, total, unit)
+
+
+def _bar(title: str, total: int) -> Iterator[Tick]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description:10}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(title, total=total, note="")
+        yield lambda done, note: bar.update(task, completed=done, note=note)
+
+
+def _lines(title: str, total: int, unit: str) -> Iterator[Tick]:
+    began = last = time.monotonic()
+    first: list[int] = []
+
+    def tick(done: int, note: str) -> None:
+        nonlocal last
+        now = time.monotonic()
+        first.append(done)
+        if now - last < PLAIN_EVERY and done < total:
+            return
+        last = now
+        rate = (done - first[0]) / max(now - began, 1e-9)
+        left = f", {(total - done) / rate:.0f} s left" if rate > 0.0 and done < total else ""
+        print(f"{title}: {done}/{total} {unit}{left}  {note}", file=sys.stderr, flush=True)
+
+    yield tick

@@ -1,0 +1,114 @@
+"""Stability margins over stiffness and delay, of the loop as it runs and of the ideal one.
+
+The public function is `jaxmpc.margins`; stability comes first in it: an unstable loop has M_s = ∞, NaN
+margins and the status UNSTABLE, since its peak over frequency can look fine.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxmpc.errors import InputError
+from jaxmpc.law.cascade import Gains
+from jaxmpc.params import Params, Timing
+from jaxmpc.precision import in_float64
+from jaxmpc.stability.crossings import LoopMargins, loop_margins
+from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, closed_loop_matrix, contact_of, spectral_radius
+from jaxmpc.stability.response import loop_response
+from jaxmpc.status import Status
+from jaxmpc.synthesis import design_one, over_batch
+from jaxmpc.world.contact import Contact, hertz
+
+ILL_POSED_ABOVE = 1e-6
+"""Relative Riccati residual beyond which a design does not count; a good one has 1e-15."""
+
+
+class Margins(NamedTuple):
+    """Margins of the closed loop, the worse of its two cuts (at v and at a = v − K₂ẋ)."""
+
+    M_s: Float[Array, "..."]
+    """Peak sensitivity max|1/(1 + L)| [-]; ∞ when unstable."""
+    gain_margin_db: Float[Array, "..."]
+    """Gain increase to instability, positive [dB]; ∞ when there is none, NaN when unstable."""
+    gain_reduction_db: Float[Array, "..."]
+    """Gain decrease to instability, positive [dB]."""
+    phase_margin_deg: Float[Array, "..."]
+    """Smallest lag to instability over all crossovers [deg]."""
+    delay_margin_s: Float[Array, "..."]
+    """Smallest added delay to instability over all crossovers [s]."""
+    spectral_radius: Float[Array, "..."]
+    """Largest |eigenvalue| of the closed loop [-]; stable below 1."""
+    status: Int[Array, "..."]
+    """A `Status`."""
+
+
+def margins_one(gains: Gains, contact: Contact, T_s: Any, ideal: bool, residual: Any = 0.0) -> Margins:
+    """Margins of one controller on one tissue; float64, traceable, differentiable.
+
+    Args:
+        gains: The controller.
+        contact: The world (see `contact_of`).
+        T_s: Sampling time [s].
+        ideal: Whether the damping is ideal: then both cuts are the same one.
+        residual: Riccati residual of the design [-].
+    """
+    radius = spectral_radius(closed_loop_matrix(gains, contact))
+    cuts = [
+        loop_margins(lambda w, late, at=at: loop_response(gains, contact, w, T_s, at, late), T_s)  # type: ignore[misc]
+        for at in (("v",) if ideal else ("v", "a"))
+    ]
+    worst = cuts[0]
+    for cut in cuts[1:]:
+        worst = LoopMargins(jnp.maximum(worst.M_s, cut.M_s), *map(jnp.minimum, worst[1:], cut[1:]))
+    stable = radius < 1.0
+    well_posed = residual < ILL_POSED_ABOVE
+    status = jnp.where(stable, Status.OK, Status.UNSTABLE)
+    status = jnp.where(well_posed & jnp.isfinite(radius), status, Status.ILL_POSED)
+    held = [jnp.where(stable, value, jnp.nan) for value in worst[1:]]
+    return Margins(jnp.where(stable, worst.M_s, jnp.inf), *held, radius, status)
+
+
+@jax.jit(static_argnames=("ideal",))  # type: ignore[call-arg]
+def _margins(params: Params, stiffness: Any, delay: Any, T_s: Any, ideal: bool) -> Margins:
+    def one(p: Params, K_s: Any) -> Margins:
+        gains, residual = design_one(p, T_s)
+        cutoff = 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ)
+        contact = contact_of(K_s, p.K2, T_s, delay, ideal, VELOCITY_CUTOFF, cutoff)
+        return margins_one(gains, contact, T_s, ideal, residual)
+
+    over_stiffness = one
+    for _ in range(jnp.ndim(stiffness)):
+        over_stiffness = jax.vmap(over_stiffness, in_axes=(None, 0))
+    result: Margins = over_batch(lambda p: over_stiffness(p, stiffness), params.batch_shape)(params)
+    return result
+
+
+@in_float64
+def margins(
+    params: Params, stiffness: Any, delay: int = 1, ideal: bool = False, *, timing: Timing | None = None
+) -> Margins:
+    """Stability margins of controllers on tissues.
+
+    Args:
+        params: One controller or a batch.
+        stiffness: K_s, one or an array of them [N/m].
+        delay: Samples between command and effect, 1 or 2 [samples].
+        ideal: False: the loop as it runs (K₂ẋ sampled, delayed and low-passed at 180 rad/s, force
+            low-passed at 500 Hz), cut at v and at a, the worse counts. True: the paper's (6), ideal
+            damping, cut at v.
+        timing: Sampling time; its delay is not used.
+
+    Returns:
+        Margins, each of the batch's shape followed by that of `stiffness`.
+
+    Raises:
+        InputError: A stiffness is not positive, or the delay is not 1 or 2.
+    """
+    values = jnp.asarray(stiffness, jnp.float64)
+    if not isinstance(values, jax.core.Tracer) and not bool(jnp.all((values > 0.0) & jnp.isfinite(values))):
+        raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
+    Timing(delay=delay)
+    result: Margins = _margins(params, values, float(delay), (timing or Timing()).T_s, ideal)
+    return result

@@ -1,0 +1,105 @@
+"""The closed loop as a matrix, built by running the law and the world themselves."""
+
+from typing import Any
+
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxmpc.law import cascade
+from jaxmpc.law.cascade import Gains
+from jaxmpc.synthesis.plant import hold_integrals
+from jaxmpc.world import contact as world
+from jaxmpc.world.contact import Contact
+
+Scalar = Float[Array, ""]
+
+VELOCITY_CUTOFF = 180.0
+"""Default velocity low-pass of the WAM [rad/s] (libbarrett, `wam4.conf`)."""
+SENSOR_CUTOFF_HZ = 500.0
+"""Fastest low-pass of the JR3 sensor [Hz]."""
+
+
+def contact_of(
+    stiffness: Any,
+    K2: Any,
+    T_s: Any,
+    delay: Any,
+    ideal: bool,
+    velocity_cutoff: float = VELOCITY_CUTOFF,
+    sensor_cutoff: float = 0.0,
+) -> Contact:
+    """The world of one axis with the damping of one controller.
+
+    Args:
+        stiffness: K_s [N/m].
+        K2: Damping [1/s].
+        T_s: Sampling time [s].
+        delay: 1 or 2 [samples].
+        ideal: The paper's ideal damping (6), inside the plant, or through the measured velocity.
+        velocity_cutoff: Low-pass of the velocity [rad/s]; unused with ideal damping.
+        sensor_cutoff: Low-pass of the force sensor [rad/s]; 0 is none.
+    """
+    K2 = jnp.asarray(K2)
+    inside = K2 if ideal else jnp.zeros_like(K2)
+    first, second = hold_integrals(inside, T_s)
+    return Contact(
+        stiffness=jnp.asarray(stiffness),
+        phi=(first, 1.0 - inside * first),
+        gamma=(second, first),
+        K2=K2 - inside,
+        velocity_pole=_pole(velocity_cutoff, T_s),
+        sensor_pole=_pole(sensor_cutoff, T_s),
+        extra_delay=jnp.asarray(delay - 1.0),
+    )
+
+
+def _pole(cutoff: Any, T_s: Any) -> Any:
+    return jnp.where(cutoff > 0.0, jnp.exp(-cutoff * T_s), 0.0)
+
+
+def closed_loop_matrix(gains: Gains, contact: Contact) -> Float[Array, "n n"]:
+    """Transition matrix of controller and world together, one column per unit vector of their states.
+
+    Args:
+        gains: One controller.
+        contact: One world; heart, noise and reference are zero.
+    """
+    zero = jnp.zeros_like(gains.mpc_u)
+    flat, restore = jax.flatten_util.ravel_pytree((cascade.init(zero), world.init(zero)))
+    quiet = (zero,) * len(gains.mpc_ref[:1])
+    gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
+
+    def advance(vector: Array) -> Array:
+        controller, state = restore(vector)
+        # An active state without gain (MPC alone) stays at its start, zero: it is no mode of the loop.
+        controller = controller._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, controller.p_hat))
+        force, state = world.sense(contact, state, zero)
+        controller, v = cascade.step(gains, controller, force, quiet)
+        state, _ = world.move(contact, state, v)
+        return jax.flatten_util.ravel_pytree((controller, state))[0]
+
+    return jax.vmap(advance, out_axes=1)(jnp.eye(len(flat)))
+
+
+@jax.custom_jvp
+def spectral_radius(A: Float[Array, "n n"]) -> Scalar:
+    """Largest magnitude of an eigenvalue [-]; the derivative is that of the dominant one alone.
+
+    A loop with delays is defective at 0, where derivatives of all eigenvalues at once are NaN.
+    """
+    return jnp.max(jnp.abs(jnp.linalg.eigvals(A)))
+
+
+@spectral_radius.defjvp
+def _spectral_radius_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    r"""d|λ| = Re(λ̄/|λ| · wᵀ dA r / wᵀ r) with right and left eigenvectors r, w of λ."""
+    (A,), (dA,) = primals, tangents
+    values, right = jnp.linalg.eig(A)
+    dominant = jnp.argmax(jnp.abs(values))
+    value, r = values[dominant], right[:, dominant]
+    left_values, left = jnp.linalg.eig(A.T)
+    w = left[:, jnp.argmin(jnp.abs(left_values - value))]
+    weights = jnp.outer(w, r) / (w @ r) * jnp.conj(value) / jnp.abs(value)
+    return jnp.abs(value), jnp.sum(jnp.real(weights) * dA)

@@ -1,0 +1,81 @@
+"""Controller synthesis: parameters in, gains of the law out; differentiable, batched, compiled once.
+
+The public function is `jaxmpc.design`; the package has another name so that importing it does not hide it.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxmpc.law.cascade import Gains
+from jaxmpc.params import HP_MAX, HU_MAX, Params, Timing
+from jaxmpc.precision import in_float64
+from jaxmpc.synthesis.feedback import state_feedback
+from jaxmpc.synthesis.kalman import active_observer_gain, input_noise_gain
+from jaxmpc.synthesis.mpc import first_move
+from jaxmpc.synthesis.plant import closed_loop_model, contact_model
+
+
+def design_one(params: Params, T_s: float, mask_width: Any = 1.0) -> tuple[Gains, Float[Array, ""]]:
+    """Gains of one controller, and how badly its Riccati equation is missed [-]; float64, traceable.
+
+    Args:
+        params: One controller, scalars or diagonals of arrays.
+        T_s: Sampling time [s].
+        mask_width: Softness of the horizons, 1 is exact [samples].
+    """
+    p = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), params)
+    lam, delta = jnp.broadcast_to(p.lam, (HU_MAX,)), jnp.broadcast_to(p.delta, (HP_MAX,))
+    Phi, Gamma = contact_model(p.Khat_s, p.K2, T_s)
+    observer = input_noise_gain if p.architecture == "mpc" else active_observer_gain
+    K, residual = observer(Phi, Gamma, p.Q_x, p.Q_p, p.R)
+    phi = jnp.stack([Phi[0, 1], Phi[1, 1]])
+    zero, one = jnp.zeros_like(p.T_cl), jnp.ones_like(p.T_cl)
+
+    if p.architecture == "mpc":
+        delayed = jnp.block([[Phi, Gamma[:, None]], [jnp.zeros((1, 3))]])
+        mpc_ref, mpc_x, mpc_u = first_move(delayed, jnp.stack([zero, zero, one]), lam, delta, p.Hp, p.Hu, mask_width)
+        # The delayed input *is* the previous output here, so its weight moves from mₓ to mᵤ.
+        return Gains(phi, Gamma, K, jnp.zeros(3), one, mpc_ref, mpc_x[:2], mpc_u + mpc_x[2]), residual
+
+    L = state_feedback(Phi, Gamma, p.T_cl, T_s)
+    if p.architecture == "aob":
+        # u = F_d: the move cancels the previous output and takes the next reference as it is.
+        mpc_ref = jnp.zeros(HP_MAX).at[0].set(1.0)
+        return Gains(phi, Gamma, K, L, L[0], mpc_ref, jnp.zeros(2), one), residual
+    A, B = closed_loop_model(p.T_cl, T_s)
+    mpc_ref, mpc_x, mpc_u = first_move(A, B, lam, delta, p.Hp, p.Hu, mask_width)
+    return Gains(phi, Gamma, K, L, L[0], mpc_ref, mpc_x, mpc_u), residual
+
+
+def over_batch(function: Any, batch_shape: tuple[int, ...]) -> Any:
+    """`jax.vmap` once per leading dimension of a batch."""
+    for _ in batch_shape:
+        function = jax.vmap(function)
+    return function
+
+
+@jax.jit
+def _design(params: Params, T_s: Any) -> Gains:
+    gains: Gains = over_batch(lambda p: design_one(p, T_s)[0], params.batch_shape)(params)
+    return gains
+
+
+@in_float64
+def design(params: Params, timing: Timing | None = None) -> Gains:
+    """Gains of a controller, or of a batch of them.
+
+    Any mix of parameters and horizons of one batch size runs the same compiled program. Differentiable
+    in forward and reverse mode (with 64-bit JAX switched on in the caller).
+
+    Args:
+        params: The parameters; leading dimensions are a batch.
+        timing: Sampling; the design assumes a delay of one sample, as the paper does.
+
+    Returns:
+        L (…, 3), K (…, 4), mpc_ref (…, 64), mpc_x (…, 2), mpc_u (…), … in float64; see `Gains`.
+    """
+    gains: Gains = _design(params, (timing or Timing()).T_s)
+    return gains

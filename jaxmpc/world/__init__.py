@@ -1,0 +1,1 @@
+"""What the robot meets: heart motion, tissue, sensing, damping and delay."""

@@ -1,0 +1,104 @@
+"""The linear contact loop of one axis: tip, tissue, force sensor and delay, as scalar arithmetic.
+
+Exact between samples, because the command is held and the heart moves the force only at the samples:
+
+    xₖ₊₁ = xₖ + φ₁₂ ẋₖ + γ₁ aₖ₋d,   ẋₖ₊₁ = φ₂₂ ẋₖ + γ₂ aₖ₋d,   yₖ = K_s (xₖ − x_heart,ₖ)
+
+with aₖ = vₖ for the paper's ideal damping (6), which then sits in φ and γ, or aₖ = vₖ − K₂ ẋ_f,ₖ for
+damping through the sampled, filtered velocity, delayed like every command.
+"""
+
+from math import exp, pi
+from typing import Any, NamedTuple
+
+Scalar = Any
+
+
+class Contact(NamedTuple):
+    """Constants of one axis; each may be a batch."""
+
+    stiffness: Scalar
+    """Stiffness of the tissue K_s [N/m]."""
+    phi: tuple[Scalar, Scalar]
+    """φ₁₂ [s] and φ₂₂ [-]."""
+    gamma: tuple[Scalar, Scalar]
+    """γ₁ [s²] and γ₂ [s]."""
+    K2: Scalar
+    """Damping fed back from the measured velocity [1/s]; 0 with ideal damping."""
+    velocity_pole: Scalar
+    """Pole of the velocity low-pass [-]; 0 passes everything."""
+    sensor_pole: Scalar
+    """Pole of the force sensor's low-pass [-]; 0 passes everything."""
+    extra_delay: Scalar
+    """0 for a delay of one sample, 1 for two."""
+
+
+class ContactState(NamedTuple):
+    """What one axis of the world remembers between two samples."""
+
+    x: Scalar
+    """Tip position [m]."""
+    xdot: Scalar
+    """Tip velocity [m/s]."""
+    velocity: Scalar
+    """Filtered velocity measurement [m/s]."""
+    force: Scalar
+    """Filtered force [N]."""
+    pending: tuple[Scalar, Scalar]
+    """Commands of the last two samples, newest first [m/s²]."""
+
+
+def init(x: Scalar = 0.0) -> ContactState:
+    """A tip at rest at x [m], touching without force."""
+    zero = 0.0 * x
+    return ContactState(x, zero, zero, zero, (zero, zero))
+
+
+def low_pass_pole(cutoff: float, T_s: float) -> float:
+    """Pole of a first-order low-pass with a cut-off [rad/s]; 0 (no filter) for a cut-off of 0 or infinity."""
+    return exp(-cutoff * T_s) if cutoff > 0.0 else 0.0
+
+
+def hertz(frequency: float) -> float:
+    """Angular frequency [rad/s] of a frequency [Hz]."""
+    return 2.0 * pi * frequency
+
+
+def sense(contact: Contact, state: ContactState, heart: Scalar) -> tuple[Scalar, ContactState]:
+    """Force before noise and quantisation [N], with the filters moved on by one sample.
+
+    Args:
+        contact: Constants.
+        state: State at the sample.
+        heart: Position of the heart's surface [m].
+    """
+    true_force = contact.stiffness * (state.x - heart)
+    force = true_force + contact.sensor_pole * (state.force - true_force)
+    velocity = state.xdot + contact.velocity_pole * (state.velocity - state.xdot)
+    return force, state._replace(force=force, velocity=velocity)
+
+
+def move(contact: Contact, state: ContactState, v: Scalar) -> tuple[ContactState, Scalar]:
+    """Take a command v [m/s²] and advance to the next sample.
+
+    Args:
+        contact: Constants.
+        state: State that `sense` returned.
+        v: Acceleration command of the cascade [m/s²].
+
+    Returns:
+        The next state, and the acceleration asked of the robot a = v − K₂ẋ [m/s²].
+    """
+    a = v - contact.K2 * state.velocity
+    newest, older = state.pending
+    applied = newest + contact.extra_delay * (older - newest)
+    x = state.x + contact.phi[0] * state.xdot + contact.gamma[0] * applied
+    xdot = contact.phi[1] * state.xdot + contact.gamma[1] * applied
+    return state._replace(x=x, xdot=xdot, pending=(a, newest)), a
+
+
+def quantise(value: Scalar, lsb: Scalar, floor: Any) -> Scalar:
+    """Value rounded to a multiple of a positive least significant bit, half up."""
+    return floor(value / lsb + 0.5) * lsb
+
+

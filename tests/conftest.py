@@ -1,0 +1,15 @@
+"""Settings of every test; the robot's tests run where neither jax nor hypothesis is installed."""
+
+from importlib.util import find_spec
+
+if find_spec("jax"):
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+if find_spec("hypothesis"):
+    import hypothesis
+
+    # No deadline: a first example compiles. Derandomised: the same tree gives the same verdict.
+    hypothesis.settings.register_profile("jaxmpc", deadline=None, derandomize=True, database=None)
+    hypothesis.settings.load_profile("jaxmpc")

@@ -1,0 +1,282 @@
+import io
+import os
+import pickle
+import zipfile
+from hashlib import sha256
+
+import numpy as np
+import pytest
+
+from deploy import artifact as module
+from deploy.artifact import ArtifactError, from_bytes, load, to_bytes
+from deploy.freeze import freeze
+from jaxmpc.sealed import LARGEST, canonical_json, seal, unseal
+
+
+@pytest.fixture
+def data(arguments, tmp_path):
+    freeze(tmp_path / "good.npz", **arguments)
+    return (tmp_path / "good.npz").read_bytes()
+
+
+def sealed(body):
+    return body + sha256(body).digest()
+
+
+def test_round_trip(data, arguments):
+    artifact = from_bytes(data)
+    assert to_bytes(artifact) == data
+    assert artifact.gains == arguments["gains"]
+    assert artifact.margins == arguments["margins"]  # infinity survives
+    assert artifact.floor == arguments["floor"]
+    assert artifact.params == arguments["params"]
+    assert artifact.golden_v.tolist() == arguments["golden"][2].tolist()
+    with pytest.raises(ValueError, match="read-only"):
+        artifact.golden_v[0, 0] = 1.0
+
+
+def test_every_flipped_bit_is_refused(data):
+    flipped = bytearray(data)
+    for index in range(len(data)):
+        for bit in range(8):
+            flipped[index] ^= 1 << bit
+            with pytest.raises(ArtifactError, match=r"its sha256 seal does not match its content: it was changed"):
+                from_bytes(bytes(flipped))
+            flipped[index] ^= 1 << bit
+    assert from_bytes(bytes(flipped)).T_s == 1e-3
+
+
+def test_every_truncation_is_refused(data):
+    for length in range(len(data)):
+        with pytest.raises(ArtifactError, match="cut short"):
+            from_bytes(data[:length])
+    with pytest.raises(ArtifactError, match="changed"):
+        from_bytes(data + b"\0")
+
+
+HEADER_CASES = [
+    ({"schema": None}, "not a controller: its schema is None"),
+    ({"version": 2}, "newer than 1: update jaxmpc"),
+    ({"version": 0}, "never existed"),
+    ({"version": "1"}, "never existed"),
+    ({"kind": "wam"}, "of the kind 'wam'"),
+    ({"T_s": 0.0}, r"T_s = 0.0: must be in \[1e-5, 0.1\] s"),
+    ({"T_s": "nan"}, "T_s = nan: must be a number"),
+    ({"T_s": 10**400}, "T_s = 1000.*must be a number"),
+    ({"K2": -1.0}, r"K2 = -1.0: must be in \[0, 1e4\] 1/s"),
+    ({"preview": 0}, "preview = 0: must be true or false"),
+    ({"params": []}, "params = .*must be a table"),
+    ({"provenance": None}, "provenance = None: must be a table"),
+    ({"floor": {}}, "floor = {}: must be a table of one or more"),
+    ({"floor": {"M_t": 2.0}}, "floor = .*must be a table of one or more"),
+    ({"floor": {"M_s": "inf"}}, "floor.M_s = inf: must be positive and finite"),
+    ({"floor": {"gain_margin_db": 0.0}}, "floor.gain_margin_db = 0.0: must be positive"),
+    ({"floor": None}, "floor = None"),
+    ({"margins": []}, "margins = none: must be given for at least one stiffness"),
+    ({"margins": [{}]}, "margins = {}: must be a table of"),
+    ({"margins": [1]}, "margins = 1: must be a table of"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), HEADER_CASES)
+def test_each_wrong_header_has_its_sentence(data, changes, message):
+    header, arrays = unseal(data)
+    with pytest.raises(ArtifactError, match=message):
+        from_bytes(seal(header | changes, arrays))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"spectral_radius": 1.035}, r"spectral_radius at 1900 N/m \(as it runs, delay 1\) = 1.035: must be below 1"),
+        ({"M_s": 4.5}, "M_s at 1900 N/m .* = 4.5: must be at most 2, the declared floor"),
+        ({"M_s": "inf"}, "M_s at 1900 N/m .* = inf: must be at most 2"),
+        ({"gain_reduction_db": 5.9}, "gain_reduction_db at 1900 N/m .* = 5.9 dB: must be at least 6 dB"),
+        ({"phase_margin_deg": None}, "phase_margin_deg = None: must be a number"),
+        ({"stiffness": 0.0}, "stiffness = 0.0: must be positive"),
+        ({"delay": 3}, "delay = 3.0: must be 1 or 2"),
+        ({"ideal": "no"}, "ideal = no: must be true or false"),
+        ({"surplus": 1.0}, "must be a table of"),
+    ],
+)
+def test_each_wrong_margin_has_its_sentence(data, changes, message):
+    header, arrays = unseal(data)
+    header["margins"][-1] |= changes
+    with pytest.raises(ArtifactError, match=message):
+        from_bytes(seal(header, arrays))
+
+
+def with_nan(array):
+    changed = np.array(array)
+    changed.flat[0] = np.nan
+    return changed
+
+
+@pytest.mark.parametrize("name", module.GOLDEN)
+def test_each_wrong_array_has_its_sentence(data, name):
+    header, arrays = unseal(data)
+    good = arrays[name]
+    others = {key: value for key, value in arrays.items() if key != name}
+    for wrong, message in [
+        (others, f"it lacks the array {name}"),
+        (others | {name: np.stack([good, good])}, f"{name} = an array of shape .*must be of shape"),
+        (others | {name: good[..., None][:0]}, f"{name} = an array of shape .*must be of shape"),
+        (others | {name: with_nan(good)}, f"{name} = not finite somewhere"),
+        (others | {name: good.astype(str)}, f"{name} = an array of <U.*: must be an array of numbers"),
+    ]:
+        with pytest.raises(ArtifactError, match=message):
+            from_bytes(seal(header, wrong))
+
+
+@pytest.mark.parametrize("name", module.GAIN_SHAPES)
+def test_each_wrong_gain_has_its_sentence(data, name):
+    header, arrays = unseal(data)
+    good, gains = header["gains"][name], header["gains"]
+    others = {key: value for key, value in gains.items() if key != name}
+    for wrong, message in [
+        (others, "its gains are not a table of phi, gamma"),
+        (gains | {"surplus": 1.0}, "its gains are not a table of phi, gamma"),
+        (gains | {name: [good, good]}, f"{name} = an array of shape .*must be of shape"),
+        (
+            gains | {name: np.full(np.shape(good), "1").tolist()},
+            f"{name} = an array of <U.*: must be an array of numbers",
+        ),
+        (gains | {name: None}, f"{name} = an array of object: must be an array of numbers"),
+    ]:
+        with pytest.raises(ArtifactError, match=message):
+            from_bytes(seal(header | {"gains": wrong}, arrays))
+
+
+def test_gain_that_is_not_finite_is_refused(data):
+    header, arrays = unseal(data)
+    text = canonical_json(header | {"gains": header["gains"] | {"mpc_u": 12345.5}}).replace("12345.5", "1e999")
+    buffer = io.BytesIO()
+    np.savez(buffer, header=np.frombuffer(text.encode(), np.uint8), **arrays)
+    with pytest.raises(ArtifactError, match="mpc_u = not finite somewhere"):
+        from_bytes(sealed(buffer.getvalue()))
+    header["gains"]["mpc_u"] = 10**400
+    with pytest.raises(ArtifactError, match="mpc_u = an array of object"):
+        from_bytes(seal(header, arrays))
+
+
+@pytest.mark.parametrize("name", module.HEADER)
+def test_each_missing_header_key_is_named(data, name):
+    header, arrays = unseal(data)
+    del header[name]
+    with pytest.raises(ArtifactError, match=f"its header lacks {name}"):
+        from_bytes(seal(header, arrays))
+
+
+def test_trace_that_the_gains_do_not_give_is_refused(data):
+    header, arrays = unseal(data)
+    message = r"deviation from the golden trace = .* must be at most 1e-09"
+    for name in arrays:
+        changed = np.array(arrays[name])
+        changed.flat[0] += 1e-4
+        with pytest.raises(ArtifactError, match=message):
+            from_bytes(seal(header, arrays | {name: changed}))
+    for name, good in header["gains"].items():
+        gain = np.array(good)
+        gain.flat[0] *= 1 + 1e-4
+        with pytest.raises(ArtifactError, match=message):
+            from_bytes(seal(header | {"gains": header["gains"] | {name: gain.tolist()}}, arrays))
+
+
+def test_trace_that_tells_nothing_is_refused(data):
+    header, arrays = unseal(data)
+    with pytest.raises(ArtifactError, match="golden_v = all zero"):
+        from_bytes(seal(header, {name: 0.0 * value for name, value in arrays.items()}))
+    empty = {name: arrays[name][:0] for name in module.GOLDEN}
+    with pytest.raises(ArtifactError, match=r"golden_force = an array of shape \(0, 3\)"):
+        from_bytes(seal(header, arrays | empty))
+
+
+def test_gains_whose_sum_is_not_finite_are_refused(data):
+    header, arrays = unseal(data)
+    with pytest.raises(ArtifactError, match="sum of mpc_ref = not finite"):
+        from_bytes(seal(header | {"gains": header["gains"] | {"mpc_ref": [1e308] * 64}}, arrays))
+
+
+class Touch:
+    def __reduce__(self):
+        return os.mkdir, ("unpickled",)
+
+
+def object_array():
+    buffer = io.BytesIO()
+    np.savez(buffer, header=np.array([Touch()], dtype=object))
+    return buffer.getvalue()
+
+
+def bomb():
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("header.npy", "w") as file:
+        for _ in range(LARGEST // 2**20 + 1):
+            file.write(bytes(2**20))
+    return buffer.getvalue()
+
+
+def member(name, content):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def plain_npy():
+    buffer = io.BytesIO()
+    np.save(buffer, np.zeros(3))
+    return buffer.getvalue()
+
+
+def huge_claim():
+    text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1099511627776000,), }\n"
+    return member("header.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: pickle.dumps(Touch()), "sealed, but not a jaxmpc file"),
+        (object_array, "sealed, but not a jaxmpc file"),
+        (bomb, f"unpacks to more than {LARGEST} bytes"),
+        (plain_npy, "sealed, but not a jaxmpc file"),
+        (huge_claim, "sealed, but not a jaxmpc file"),
+        (lambda: member("header", b"{}"), "sealed, but not a jaxmpc file"),
+        (lambda: b"hello", "sealed, but not a jaxmpc file"),
+        (lambda: seal([], {})[:-32], "its header is not a table"),  # type: ignore[arg-type]
+        (lambda: seal({}, {})[:-32], "not a controller: its schema is None"),
+    ],
+)
+def test_sealed_files_made_to_deceive_are_refused(make, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ArtifactError, match=message):
+        from_bytes(sealed(make()))
+    assert not list(tmp_path.iterdir())
+
+
+def test_unsealed_pickle_is_refused_by_its_seal(tmp_path):
+    path = tmp_path / "controller.npz"
+    path.write_bytes(pickle.dumps(Touch()) * 10)
+    with pytest.raises(ArtifactError, match="seal does not match"):
+        load(path)
+
+
+def test_paths_that_are_no_files(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(LARGEST + 1)
+    (tmp_path / "empty").touch()
+    cases = {
+        "missing": "cannot be read: No such file",
+        "loop": "cannot be read: .*symbolic links",
+        "folder": "not a file, but a folder or a device",
+        "pipe": "not a file, but a folder or a device",
+        "large": f"more than the {LARGEST}",
+        "empty": "cut short",
+    }
+    for name, message in cases.items():
+        with pytest.raises(ArtifactError, match=f"{name}: it .*{message}"):
+            load(tmp_path / name)

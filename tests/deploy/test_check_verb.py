@@ -1,0 +1,40 @@
+import hashlib
+
+import pytest
+
+from deploy.freeze import freeze
+from jaxmpc.cli import main
+
+
+def test_good_artifact(arguments, tmp_path, capsys):
+    path = tmp_path / "controller.npz"
+    freeze(path, **arguments)
+    assert main(["check", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert hashlib.sha256(path.read_bytes()).hexdigest() in out
+    for words in ("intact", "1900", "M_s", "inf", "≤ 2", "≥ 6", "< 1", "12 samples replayed", "µs", "Khat_s 900"):
+        assert words in out
+
+
+def test_refused_artifact(arguments, tmp_path, capsys):
+    path = tmp_path / "controller.npz"
+    freeze(path, **arguments)
+    path.write_bytes(path.read_bytes()[:-1])
+    assert main(["check", str(path)]) == 1
+    output = capsys.readouterr()
+    assert "refused: " in output.err
+    assert "cut short" in output.err
+    assert output.out == ""
+
+
+@pytest.mark.parametrize("make", ["folder", "loop"])
+def test_what_is_no_file_is_refused(tmp_path, capsys, make):
+    path = tmp_path / "x"
+    path.mkdir() if make == "folder" else path.symlink_to("x")
+    assert main(["check", str(path)]) == 1
+    assert "refused: " in capsys.readouterr().err
+
+
+def test_missing_file_is_wrong_input(tmp_path, capsys):
+    assert main(["check", str(tmp_path / "none.npz")]) == 2
+    assert "must be an existing file" in capsys.readouterr().err

@@ -1,0 +1,179 @@
+"""Who may import whom, and what must never be called: read from the source, then checked by running it."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("jaxmpc", "tuning", "sweeps", "deploy")
+SOURCES = sorted(path.relative_to(ROOT).as_posix() for name in PACKAGES for path in ROOT.glob(f"{name}/**/*.py"))
+
+# Modules of jaxmpc that the robot loads too.
+ON_ROBOT = (
+    "jaxmpc.__version__",
+    "jaxmpc.errors",
+    "jaxmpc.law",
+    "jaxmpc.sealed",
+    "jaxmpc.world.contact",
+)
+ROBOT_MAY_IMPORT = ("can", "numpy", *ON_ROBOT)
+UNSAFE_MODULES = ("marshal", "pickle", "shelve", "yaml")
+JAX = {"equinox", "jax", "jaxlib", "jaxtyping", "optax"}
+
+
+class Import(NamedTuple):
+    line: int
+    name: str
+    """Dotted; for `from a import b` it is a.b, be that a module or not."""
+    deferred: bool
+    """Inside a function: it happens only when that runs."""
+
+
+def imports(tree: ast.AST, deferred: bool = False) -> Iterator[Import]:
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import):
+            yield from (Import(node.lineno, alias.name, deferred) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parent = "." * node.level + (node.module or "")
+            yield from (Import(node.lineno, f"{parent}.{alias.name}", deferred) for alias in node.names)
+        else:
+            yield from imports(node, deferred or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda))
+
+
+def within(name: str, modules: tuple[str, ...]) -> bool:
+    return any(name == module or name.startswith(f"{module}.") for module in modules)
+
+
+def module_of(path: str) -> str:
+    return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def refusal(path: str, found: Import) -> str | None:
+    """Why this file must not import that, or None."""
+    name, module = found.name, module_of(path)
+    standard = name.partition(".")[0] in sys.stdlib_module_names
+    if name.startswith("."):
+        return "imports are absolute"
+    if within(name, UNSAFE_MODULES):
+        return "it can run foreign code"
+    if within(module, ("jaxmpc.law",)):
+        allowed = within(name, ("typing", "collections.abc", "jaxmpc.law"))
+        return None if allowed else "the law is arithmetic only"
+    if within(module, ("deploy",)):
+        allowed = standard or within(name, ("deploy", *ROBOT_MAY_IMPORT))
+        return None if allowed else "the robot has only numpy and python-can"
+    if within(module, ON_ROBOT) and not found.deferred and not (standard or within(name, ROBOT_MAY_IMPORT)):
+        return "the robot loads this module"
+    if module.startswith("jaxmpc") and not within(module, ("jaxmpc.cli",)):
+        return "jaxmpc is below it" if within(name, ("sweeps", "tuning", "deploy")) else None
+    if within(module, ("sweeps", "tuning")):
+        others = {"sweeps", "tuning", "deploy", "jaxmpc.cli"} - {module.partition(".")[0]}
+        return "it stands beside or above" if within(name, tuple(others)) else None
+    return None
+
+
+def unsafe_calls(path: str, tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Calls that would run text, start a shell or unpickle; deploy/record.py executes what it has itself written."""
+    banned = {"eval"} if path == "deploy/record.py" else {"eval", "exec", "compile", "__import__"}
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        if isinstance(node.func, ast.Name) and node.func.id in banned:
+            yield node.lineno, f"{node.func.id}()"
+        for keyword in node.keywords:
+            if keyword.arg in ("shell", "allow_pickle") and getattr(keyword.value, "value", None) is not False:
+                yield node.lineno, f"{keyword.arg}="
+
+
+def violations(path: str, source: str) -> list[str]:
+    tree = ast.parse(source)
+    wrong = [f"{path}:{i.line} imports {i.name}: {why}" for i in imports(tree) if (why := refusal(path, i))]
+    return wrong + [f"{path}:{line} calls {call}" for line, call in unsafe_calls(path, tree)]
+
+
+@pytest.mark.parametrize("path", SOURCES)
+def test_source_keeps_to_its_layer(path: str) -> None:
+    assert violations(path, (ROOT / path).read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("jaxmpc/law/cascade.py", "import math"),
+        ("jaxmpc/law/cascade.py", "from jaxmpc.errors import InputError"),
+        ("deploy/runtime.py", "def load():\n    import jax"),
+        ("deploy/runtime.py", "import jaxmpc"),
+        ("deploy/runtime.py", "from jaxmpc import design"),
+        ("deploy/runtime.py", "from jaxmpc.world import tissue"),
+        ("deploy/runtime.py", "from . import record"),
+        ("deploy/runtime.py", "exec('1')"),
+        ("deploy/record.py", "eval('1')"),
+        ("jaxmpc/world/contact.py", "import jax.numpy as jnp"),
+        ("jaxmpc/world/contact.py", "if True:\n    import jax"),
+        ("jaxmpc/sealed.py", "from jaxmpc.params import Params"),
+        ("jaxmpc/sealed.py", "numpy.load('f', allow_pickle=True)"),
+        ("jaxmpc/params.py", "class A:\n    def f(self):\n        from tuning import tune"),
+        ("jaxmpc/evaluation.py", "import sweeps.run"),
+        ("sweeps/run.py", "import tuning"),
+        ("sweeps/run.py", "from jaxmpc.cli import main"),
+        ("tuning/optimise.py", "from deploy.runtime import Runtime"),
+        ("sweeps/store.py", "import pickle"),
+        ("sweeps/store.py", "from yaml import safe_load"),
+        ("sweeps/store.py", "subprocess.run('ls', shell=True)"),
+    ],
+)
+def test_a_wrong_source_is_refused(path: str, source: str) -> None:
+    assert len(violations(path, source)) == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("jaxmpc/law/cascade.py", "from jaxmpc.law import scalar\nfrom collections.abc import Sequence"),
+        (
+            "deploy/runtime.py",
+            "import numpy, can, json\nfrom deploy import record\nfrom jaxmpc.sealed import unseal",
+        ),
+        ("deploy/record.py", "exec(compile('1', '', 'exec'))"),
+        ("jaxmpc/world/contact.py", "def f():\n    import jax"),
+        ("jaxmpc/cli/sweep.py", "from sweeps.run import run"),
+        ("sweeps/store.py", "import re\nre.compile('a')\nnp.load('f', allow_pickle=False)"),
+    ],
+)
+def test_a_right_source_passes(path: str, source: str) -> None:
+    assert violations(path, source) == []
+
+
+def loaded(*arguments: str) -> set[str]:
+    """Top-level names of everything that a fresh Python imports."""
+    run = subprocess.run(
+        [sys.executable, "-X", "importtime", *arguments], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    lines = [line for line in run.stderr.splitlines() if line.startswith("import time:")]
+    return {line.rpartition("|")[2].strip().partition(".")[0] for line in lines}
+
+
+def import_all(*prefixes: str) -> str:
+    return "import " + ", ".join(m for m in map(module_of, SOURCES) if within(m, prefixes))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        pytest.param(["-c", "import jaxmpc"], id="jaxmpc"),
+        pytest.param(["-c", import_all("deploy")], id="deploy"),
+        pytest.param(["-c", import_all(*ON_ROBOT)], id="shared"),
+        pytest.param(["-m", "jaxmpc", "--help"], id="help"),
+    ],
+)
+def test_no_jax_is_loaded(arguments: list[str]) -> None:
+    assert loaded(*arguments).isdisjoint(JAX)
+
+
+def test_a_loaded_jax_would_be_seen() -> None:
+    assert loaded("-c", "import jaxmpc; jaxmpc.Params") >= {"jax", "equinox"}
