@@ -6,6 +6,7 @@ Importing this package loads no JAX: the names below are fetched when they are f
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxmpc.errors import InputError
     from jaxmpc.evaluation import Outcome, evaluate
     from jaxmpc.experiment import Experiment
     from jaxmpc.params import Params, Timing
@@ -17,6 +18,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Experiment": "jaxmpc.experiment",
+    "InputError": "jaxmpc.errors",
     "Margins": "jaxmpc.stability",
     "Outcome": "jaxmpc.evaluation",
     "Params": "jaxmpc.params",
@@ -29,6 +31,7 @@ _HOME = {
 
 __all__ = [
     "Experiment",
+    "InputError",
     "Margins",
     "Outcome",
     "Params",

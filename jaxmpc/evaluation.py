@@ -66,7 +66,7 @@ def scene_of(experiment: Experiment) -> Scene:
         wanted = wanted[:, :, None]
     return Scene(
         np.asarray(experiment.stiffness),
-        AxisSignals(heart, noise, wanted, score),
+        AxisSignals(*map(jnp.asarray, (heart, noise, wanted, score))),
         np.asarray(experiment.sensor.lsb),
         experiment.sampling_time,
         float(experiment.delay),
@@ -83,7 +83,7 @@ def design_and_margins(
 
     def one(K_s: Any) -> tuple[Contact, Margins]:
         contact = contact_of(K_s, params.K2, scene.T_s, scene.delay, ideal, scene.velocity_cutoff, scene.sensor_cutoff)
-        return contact, margins_one(gains, contact, scene.T_s, ideal, residual)
+        return contact, margins_one(gains, contact, ideal, residual)
 
     contacts, found = jax.vmap(one)(scene.stiffness)
     return gains, contacts, found

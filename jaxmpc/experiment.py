@@ -189,7 +189,9 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         grown = heart.fade_in(t, motion.start, motion.fade)[:, None]
         if motion.kind == "harmonics":
             seed = motion.seed if motion.phases == "random" else None
-            return grown * heart.harmonic_motion(t, motion.scale, seed)
+            template: np.ndarray = grown * heart.harmonic_motion(t, motion.scale, seed)
+            return template
         times, values = heart.read_recording(motion.file, motion.unit)
         played = heart.recorded_motion(np.maximum(t - motion.start, 0.0), times, values, motion.repeat, motion.file)
-        return grown * motion.scale * played
+        moved: np.ndarray = grown * motion.scale * played
+        return moved

@@ -8,7 +8,7 @@ from typing import Any
 BASELINE, TUNED, ACCENT = "#8a8f98", "#0b6e99", "#d1495b"
 """Colours: what was, what is now, what to look at."""
 
-_STYLE = {
+_STYLE: Any = {
     "font.size": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,

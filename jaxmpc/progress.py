@@ -59,6 +59,7 @@ def _lines(title: str, total: int, unit: str) -> Iterator[Tick]:
         last = now
         rate = (done - first[0]) / max(now - began, 1e-9)
         left = f", {(total - done) / rate:.0f} s left" if rate > 0.0 and done < total else ""
-        print(f"{title}: {done}/{total} {unit}{left}  {note}", file=sys.stderr, flush=True)
+        sys.stderr.write(f"{title}: {done}/{total} {unit}{left}  {note}\n")
+        sys.stderr.flush()
 
     yield tick

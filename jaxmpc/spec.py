@@ -22,7 +22,8 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path)
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
+        # The newline lets a mistake in an unfinished last line have a line number.
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n") + "\n")
     except OSError as error:
         raise InputError(str(path), "not readable", "a TOML file", f"{error.strerror}.") from None
     except UnicodeDecodeError as error:
@@ -57,6 +58,8 @@ def convert(data: Any, kind: type[T], root: str = "") -> T:
     try:
         return msgspec.convert(data, kind, strict=True)
     except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, InputError):
+            raise error.__cause__ from None
         raise _explain(error, data, root) from None
 
 
@@ -94,23 +97,27 @@ def _lookup(data: Any, path: str) -> Any:
 
 
 def _line_of(path: Path, key: str) -> int | None:
-    """The line of a TOML file that sets a dotted key, as well as text tells."""
-    *tables, name = [part for part in re.split(r"[.\[\]]", key) if part and not part.isdigit()] or [""]
+    """The line of a TOML file that sets a dotted key, or else the nearest table around it."""
+    parts = [part for part in re.split(r"[.\[\]]", key) if part and not part.isdigit()]
     try:
         lines = path.read_text().splitlines()
     except (OSError, UnicodeDecodeError):
         return None
-    fallback, table = None, ""
-    for number, line in enumerate(lines, 1):
-        if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]+", line):
-            table = header[1]
-            if table.split(".")[-1] == name:
-                fallback = fallback or number
-        elif re.match(rf"\s*(?:[\w.]*\.)?{re.escape(name)}\s*=", line):
-            if not tables or table.endswith(tables[-1]):
-                return number
-            fallback = fallback or number
-    return fallback
+    while parts:
+        *tables, name = parts
+        header, anywhere, table = None, None, ""
+        for number, line in enumerate(lines, 1):
+            if found := re.match(r"\s*\[+\s*([^\]]+?)\s*\]+", line):
+                table = found[1]
+                header = header or (number if table.split(".")[-1] == name else None)
+            elif re.match(rf"\s*(?:[\w.]*\.)?{re.escape(name)}\s*=", line):
+                if not tables or table.endswith(tables[-1]):
+                    return number
+                anywhere = anywhere or number
+        if header or anywhere:
+            return header or anywhere
+        parts = tables
+    return None
 
 
 def write_toml(path: str | Path, data: dict[str, Any], comment: str = "") -> None:

@@ -1,1 +1,1 @@
-"""."""
+"""Parameter sweeps: grids and random samples of controllers, resumable to the bit."""

@@ -29,14 +29,12 @@ def over_blocks(function: Callable[..., Any], block: int = BLOCK) -> Callable[..
     """
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("device",))
-    split, whole = PartitionSpec("device"), PartitionSpec()
+    split, whole = PartitionSpec("device"), PartitionSpec()  # type: ignore[no-untyped-call]
 
     def on_device(blocks: Any, shared: Any) -> Any:
         return jax.lax.map(lambda one: function(one, shared), blocks)
 
-    dealt = jax.jit(
-        jax.shard_map(on_device, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False)
-    )
+    dealt = jax.jit(jax.shard_map(on_device, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False))
 
     def run(batch: Any, shared: Any) -> Any:
         rows = len(jax.tree.leaves(batch)[0])

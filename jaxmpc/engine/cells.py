@@ -11,9 +11,7 @@ from jaxmpc.law.cascade import Gains
 from jaxmpc.world.contact import Contact
 
 
-def over_cells(
-    function: Callable[..., Any], gains: Gains, contacts: Contact, lsb: Any, signals: AxisSignals
-) -> Any:
+def over_cells(function: Callable[..., Any], gains: Gains, contacts: Contact, lsb: Any, signals: AxisSignals) -> Any:
     """f(gains, contact, lsb, signals) for every cell of a batch.
 
     Controllers are the innermost dimension of the computation: they alone differ in everything and are

@@ -17,6 +17,8 @@ from typing import Any, NamedTuple
 
 Scalar = Any
 """A float, a traced JAX scalar, a batch of either, or a recorded operation."""
+Vector = Any
+"""A sequence of scalars, or an array whose last dimension is that sequence."""
 
 
 class Gains(NamedTuple):
@@ -26,19 +28,19 @@ class Gains(NamedTuple):
     The MPC output u is a force [N]; for the architecture "mpc" it is the acceleration v itself [m/s²].
     """
 
-    phi: Sequence[Scalar]
+    phi: Vector
     """φ₁₂ [s] and φ₂₂ [-] of the contact model Φ₂ = [[1, φ₁₂], [0, φ₂₂]], shape (2,)."""
-    gamma: Sequence[Scalar]
+    gamma: Vector
     """Γ₂: force [N] and force rate [N/s] gained in one sample per acceleration [m/s²], shape (2,)."""
-    K: Sequence[Scalar]
+    K: Vector
     """Kalman gain: force [-], force rate [1/s], delayed input [m/s²/N], active state [m/s²/N], shape (4,)."""
-    L: Sequence[Scalar]
+    L: Vector
     """State feedback: force [m/s²/N], force rate [m/s/N], delayed input [-], shape (3,)."""
     input_gain: Scalar
     """g, acceleration per unit of u: L₁ [m/s²/N] makes the DC gain u → y one."""
-    mpc_ref: Sequence[Scalar]
+    mpc_ref: Vector
     """Weights r on the force reference 1…n samples ahead [-], shape (n,); their sum acts on a constant."""
-    mpc_x: Sequence[Scalar]
+    mpc_x: Vector
     """MPC feedback of the estimated force [-] and force rate [s], shape (2,)."""
     mpc_u: Scalar
     """MPC feedback of the previous output [-]."""

@@ -4,6 +4,7 @@ The public function is `jaxmpc.margins`; stability comes first in it: an unstabl
 margins and the status UNSTABLE, since its peak over frequency can look fine.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ from jaxmpc.errors import InputError
 from jaxmpc.law.cascade import Gains
 from jaxmpc.params import Params, Timing
 from jaxmpc.precision import in_float64
-from jaxmpc.stability.crossings import LoopMargins, loop_margins
+from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.stability.response import loop_response
 from jaxmpc.status import Status
@@ -44,39 +45,42 @@ class Margins(NamedTuple):
     """A `Status`."""
 
 
-def margins_one(gains: Gains, contact: Contact, T_s: Any, ideal: bool, residual: Any = 0.0) -> Margins:
+def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0) -> Margins:
     """Margins of one controller on one tissue; float64, traceable, differentiable.
 
     Args:
         gains: The controller.
         contact: The world (see `contact_of`).
-        T_s: Sampling time [s].
         ideal: Whether the damping is ideal: then both cuts are the same one.
         residual: Riccati residual of the design [-].
     """
     radius = spectral_radius(closed_loop_matrix(gains, contact))
-    cuts = [
-        loop_margins(lambda w, late, at=at: loop_response(gains, contact, w, T_s, at, late), T_s)  # type: ignore[misc]
-        for at in (("v",) if ideal else ("v", "a"))
-    ]
-    worst = cuts[0]
-    for cut in cuts[1:]:
-        worst = LoopMargins(jnp.maximum(worst.M_s, cut.M_s), *map(jnp.minimum, worst[1:], cut[1:]))
+    # With ideal damping both cuts are the same one.
+    cut_at_a = jnp.zeros(1) if ideal else jnp.array([0.0, 1.0])
+
+    def margins_at(cut: Any) -> LoopMargins:
+        def loop(g: Gains, c: Contact) -> Loop:
+            return lambda theta, late=None: loop_response(g, c, theta, cut, late)
+
+        return loop_margins(loop(gains, contact), loop(*jax.lax.stop_gradient((gains, contact))), contact.T_s)
+
+    cuts = jax.vmap(margins_at)(cut_at_a)
+    worst = LoopMargins(jnp.max(cuts.M_s), *(jnp.min(cut) for cut in cuts[1:]))
     stable = radius < 1.0
     well_posed = residual < ILL_POSED_ABOVE
     status = jnp.where(stable, Status.OK, Status.UNSTABLE)
     status = jnp.where(well_posed & jnp.isfinite(radius), status, Status.ILL_POSED)
-    held = [jnp.where(stable, value, jnp.nan) for value in worst[1:]]
-    return Margins(jnp.where(stable, worst.M_s, jnp.inf), *held, radius, status)
+    up, down, phase, delay = (jnp.where(stable, value, jnp.nan) for value in worst[1:])
+    return Margins(jnp.where(stable, worst.M_s, jnp.inf), up, down, phase, delay, radius, status)
 
 
-@jax.jit(static_argnames=("ideal",))  # type: ignore[call-arg]
+@partial(jax.jit, static_argnames=("ideal",))
 def _margins(params: Params, stiffness: Any, delay: Any, T_s: Any, ideal: bool) -> Margins:
     def one(p: Params, K_s: Any) -> Margins:
         gains, residual = design_one(p, T_s)
         cutoff = 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ)
         contact = contact_of(K_s, p.K2, T_s, delay, ideal, VELOCITY_CUTOFF, cutoff)
-        return margins_one(gains, contact, T_s, ideal, residual)
+        return margins_one(gains, contact, ideal, residual)
 
     over_stiffness = one
     for _ in range(jnp.ndim(stiffness)):

@@ -4,91 +4,97 @@ The law's equations are triangular in the z-domain, so its transfer function nee
 test holds these formulas against the matrices that the running law itself gives.
 """
 
-from typing import Literal
+from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Complex
 
 from jaxmpc.law.cascade import Gains
+from jaxmpc.synthesis.plant import hold_integrals
 from jaxmpc.world.contact import Contact
 
 Response = Complex[Array, "..."]
-Break = Literal["v", "a"]
 
 
 def controller_response(gains: Gains, q: Response) -> Response:
-    r"""V/Y of the cascade at q = z⁻¹ [m/s²/N].
+    r"""V/Y of the cascade at q = z⁻¹ [m/s²/N], without a division before the last.
 
-    Every signal is written s_I·I + s_V·V in the innovation I and the command V, from the observer's
-    last state to its first; V and Y then give two equations.
+    Every signal is a combination of the innovation I and the command V. With d = 1 − q, e = 1 − φ₂₂ q,
+    m = 1 − (1 − mᵤ) q the law's equations, from the observer's last state to its first, read
+
+        d P̂ = K_p I,  d X̂₃ = n₃ I + q d V,  e d X̂₂ = n₂ I + γ₂ q² d V,  e d² X̂₁ = n₁ I + q² d b V,
+
+    Y = X̂₁ + (1 − K₁) I, and V = −(L₁ + g m₁/m) X̂₁ − (L₂ + g m₂/m) X̂₂ − L₃ X̂₃ − P̂.
     """
     (phi_12, phi_22), (gamma_1, gamma_2) = gains.phi, gains.gamma
     K_1, K_2, K_3, K_p = (gains.K[i] for i in range(4))
-    p = K_p / (1.0 - q)
-    x3_I, x3_V = q * p + K_3, q
-    x2_I = (gamma_2 * q * x3_I + K_2) / (1.0 - phi_22 * q)
-    x2_V = gamma_2 * q * x3_V / (1.0 - phi_22 * q)
-    x1_I = (q * (phi_12 * x2_I + gamma_1 * x3_I) + K_1) / (1.0 - q)
-    x1_V = q * (phi_12 * x2_V + gamma_1 * x3_V) / (1.0 - q)
-    y_I, y_V = x1_I - K_1 + 1.0, x1_V
+    d, e, m = 1.0 - q, 1.0 - phi_22 * q, 1.0 - (1.0 - gains.mpc_u) * q
+    n_3 = q * K_p + K_3 * d
+    n_2 = gamma_2 * q * n_3 + K_2 * d
+    n_1 = q * (phi_12 * n_2 + gamma_1 * e * n_3) + K_1 * e * d
+    b = phi_12 * gamma_2 * q + gamma_1 * e
 
-    integrate = gains.input_gain / (1.0 - (1.0 - gains.mpc_u) * q)
-    weight_1 = gains.L[0] + integrate * gains.mpc_x[0]
-    weight_2 = gains.L[1] + integrate * gains.mpc_x[1]
-    v_I = -(weight_1 * x1_I + weight_2 * x2_I + gains.L[2] * x3_I + p)
-    v_V = -(weight_1 * x1_V + weight_2 * x2_V + gains.L[2] * x3_V)
-    return v_I / ((1.0 - v_V) * y_I + v_I * y_V)
+    weight_1 = m * gains.L[0] + gains.input_gain * gains.mpc_x[0]
+    weight_2 = m * gains.L[1] + gains.input_gain * gains.mpc_x[1]
+    from_I = weight_1 * n_1 + d * (weight_2 * n_2 + m * e * (gains.L[2] * n_3 + K_p))
+    from_V = q * (weight_1 * q * b + d * (weight_2 * gamma_2 * q + gains.L[2] * m * e))
+    y_from_I = n_1 + (1.0 - K_1) * e * d * d
+    response: Response = e * d * from_I / (q * q * b * from_I - y_from_I * (m * e * d + from_V))
+    return response
 
 
-def tip_response(contact: Contact, q: Response, late: Float[Array, ""], T_s: float) -> tuple[Response, Response]:
-    r"""Tip position [s²] and velocity [s] per acceleration asked of the robot, at q = z⁻¹.
+def tip_response(contact: Contact, theta: Any, late: Any = None) -> tuple[Response, Response]:
+    r"""Tip position [s²] and velocity [s] per acceleration asked of the robot, at z = e^{jθ}.
 
     Args:
         contact: The world.
-        q: z⁻¹.
+        theta: Angle θ = ω T_s [rad].
         late: Additional delay of the held command, any number of samples ≥ 0; a fraction f splits each
-            hold in two: the older command for f T_s, the newer for the rest.
-        T_s: Sampling time [s].
+            hold in two: the older command for f T_s, the newer for the rest. None is no delay.
     """
-    whole = jnp.floor(late)
-    (first, second), (first_new, second_new) = contact.gamma[::-1], _held(contact, 1.0 - (late - whole), T_s)
-    delay = q ** (1.0 + contact.extra_delay + whole)
-    gamma_1 = (second_new + q * (second - second_new)) * delay
-    # What the older command leaves behind is carried on by the rest of the sample.
-    gamma_2 = (first_new + q * (first - first_new)) * delay
-    xdot = gamma_2 * q / (1.0 - contact.phi[1] * q)
-    x = q * (contact.phi[0] * xdot + gamma_1) / (1.0 - q)
+    q = jnp.exp(-1j * theta)
+    whole = 0.0 if late is None else jnp.floor(late)
+    delay = jnp.exp(-1j * theta * (1.0 + contact.extra_delay + whole))
+    gamma_1, gamma_2 = contact.gamma
+    if late is not None:
+        first, second = _held(contact, 1.0 - (late - whole))
+        gamma_1, gamma_2 = second + q * (gamma_1 - second), first + q * (gamma_2 - first)
+    xdot = delay * gamma_2 * q / (1.0 - contact.phi[1] * q)
+    x = q * (contact.phi[0] * xdot + delay * gamma_1) / (1.0 - q)
     return x, xdot
 
 
-def _held(contact: Contact, part: Float[Array, ""], T_s: float) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def _held(contact: Contact, part: Any) -> tuple[Any, Any]:
     """First and second hold integral over the last part of a sample."""
-    from jaxmpc.synthesis.plant import hold_integrals
-
     damping = (1.0 - contact.phi[1]) / contact.phi[0]
-    return hold_integrals(damping, part * T_s)
+    return hold_integrals(damping, part * contact.T_s)
 
 
-def loop_response(
-    gains: Gains, contact: Contact, omega: Float[Array, "..."], T_s: float, at: Break, late: Float[Array, ""] | float = 0.0
-) -> Response:
-    r"""Open-loop L(e^{jωT_s}) of the negative feedback 1 + L, broken at v or at a = v − K₂ẋ [-].
+def loop_response(gains: Gains, contact: Contact, theta: Any, cut_at_a: Any, late: Any = None) -> Response:
+    r"""Open-loop L(e^{jθ}) of the negative feedback 1 + L, cut at v or at a = v − K₂ẋ [-].
+
+    With the force loop F and the damping loop D, and F₀, D₀ the same without the added delay, cutting
+    at a leaves L = F + D, cutting at v leaves L = F − F₀ D/(1 + D₀): the damping stays closed inside.
 
     Args:
         gains: One controller.
         contact: One world.
-        omega: Angular frequencies [rad/s].
-        T_s: Sampling time [s].
-        at: The signal at which the loop is cut, and at which `late` acts.
-        late: Delay added there [samples].
+        theta: Angles θ = ω T_s [rad].
+        cut_at_a: 1 cuts at a, 0 at v.
+        late: Delay added where it is cut [samples]; None is none.
     """
-    q = jnp.exp(-1j * omega * T_s)
-    late = jnp.asarray(late)
-    x, xdot = tip_response(contact, q, late, T_s)
+    q = jnp.exp(-1j * theta)
     sensor = (1.0 - contact.sensor_pole) / (1.0 - contact.sensor_pole * q)
     velocity = (1.0 - contact.velocity_pole) / (1.0 - contact.velocity_pole * q)
-    force_loop = -controller_response(gains, q) * sensor * contact.stiffness * x
-    if at == "a":
-        return force_loop + contact.K2 * velocity * xdot
-    _, xdot_now = tip_response(contact, q, jnp.zeros_like(late), T_s)
-    return force_loop / (1.0 + contact.K2 * velocity * xdot_now)
+    from_force = -controller_response(gains, q) * sensor * contact.stiffness
+    from_velocity = contact.K2 * velocity
+
+    def loops(delay: Any) -> tuple[Response, Response]:
+        x, xdot = tip_response(contact, theta, delay)
+        return from_force * x, from_velocity * xdot
+
+    force_now, damping_now = loops(None)
+    force, damping = (force_now, damping_now) if late is None else loops(late)
+    at_v = force - force_now * damping / (1.0 + damping_now)
+    open_loop: Response = at_v + cut_at_a * (force + damping - at_v)
+    return open_loop

@@ -1,49 +1,46 @@
-"""Scalar searches on a fixed number of steps, differentiable through what they found."""
+"""Scalar searches with a fixed number of steps: they batch, and find places to the last bit of float64.
+
+They only find places; what stands there is evaluated, and differentiated, by the caller.
+"""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-Scalar = Float[Array, ""]
-Function = Callable[[Scalar], Scalar]
+Places = Float[Array, "..."]
+Function = Callable[[Places], Places]
 
 HALVINGS = 50
 """Bisection steps: a bracket of 2 % shrinks to the last bit of float64."""
 
 
-def root(function: Function, low: Scalar, high: Scalar) -> Scalar:
-    """Where a function changes sign in a bracket; NaN ends are carried through.
+def root(function: Function, low: Places, high: Places, rising: Bool[Array, "..."]) -> Places:
+    """Where an elementwise function changes sign in each bracket.
 
-    The derivative is the implicit one: a Newton step from the root found, with the root held fixed.
+    Args:
+        function: Elementwise, so that several roots cost one program.
+        low: Lower ends.
+        high: Upper ends.
+        rising: Whether the function goes from negative to positive there.
     """
+    return _bisect(lambda at: (function(at) < 0.0) == rising, low, high)
 
-    def halve(_: int, bracket: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+
+def peak(function: Function, low: Places, high: Places) -> Places:
+    """Where a function with one maximum in a bracket has it."""
+    return _bisect(lambda at: jax.jvp(function, (at,), (jnp.ones_like(at),))[1] > 0.0, low, high)
+
+
+def _bisect(goes_on: Callable[[Places], Bool[Array, "..."]], low: Places, high: Places) -> Places:
+    def halve(_: Any, bracket: tuple[Places, Places]) -> tuple[Places, Places]:
         low, high = bracket
         middle = 0.5 * (low + high)
-        same = jnp.sign(function(middle)) == sign_low
-        return jnp.where(same, middle, low), jnp.where(same, high, middle)
+        onward = goes_on(middle)
+        return jnp.where(onward, middle, low), jnp.where(onward, high, middle)
 
-    sign_low = jnp.sign(function(low))
-    low, high = jax.lax.fori_loop(0, HALVINGS, halve, jax.lax.stop_gradient((low, high)))
-    found = jax.lax.stop_gradient(0.5 * (low + high))
-    value, slope = jax.jvp(function, (found,), (jnp.ones_like(found),))
-    slope = jax.lax.stop_gradient(slope)
-    return found - (value - jax.lax.stop_gradient(value)) / jnp.where(slope == 0.0, 1.0, slope)
-
-
-def peak(function: Function, low: Scalar, high: Scalar) -> Scalar:
-    """Largest value of a function with one maximum in a bracket; differentiable at the place found."""
-
-    def slope(at: Scalar) -> Scalar:
-        return jax.jvp(function, (at,), (jnp.ones_like(at),))[1]
-
-    def halve(_: int, bracket: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-        low, high = bracket
-        middle = 0.5 * (low + high)
-        rising = slope(middle) > 0.0
-        return jnp.where(rising, middle, low), jnp.where(rising, high, middle)
-
-    low, high = jax.lax.fori_loop(0, HALVINGS, halve, jax.lax.stop_gradient((low, high)))
-    return function(jax.lax.stop_gradient(0.5 * (low + high)))
+    low, high = jax.lax.fori_loop(0, HALVINGS, halve, (low, high))
+    middle: Places = 0.5 * (low + high)
+    return middle

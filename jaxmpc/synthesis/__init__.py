@@ -18,7 +18,7 @@ from jaxmpc.synthesis.mpc import first_move
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
 
 
-def design_one(params: Params, T_s: float, mask_width: Any = 1.0) -> tuple[Gains, Float[Array, ""]]:
+def design_one(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[Gains, Float[Array, ""]]:
     """Gains of one controller, and how badly its Riccati equation is missed [-]; float64, traceable.
 
     Args:

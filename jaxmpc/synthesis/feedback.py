@@ -1,14 +1,14 @@
 """State feedback that gives the contact loop the wanted poles."""
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 Scalar = Float[Array, ""]
 
 
-def state_feedback(
-    Phi: Float[Array, "2 2"], Gamma: Float[Array, "2"], T_cl: Scalar, T_s: float
-) -> Float[Array, "3"]:
+def state_feedback(Phi: Float[Array, "2 2"], Gamma: Float[Array, "2"], T_cl: Scalar, T_s: Any) -> Float[Array, "3"]:
     r"""L_r that puts the poles of Φᵣ − Γᵣ L_r at e^(−T_s/T_cl), twice, and at 0, paper (10) and (30).
 
     The delayed plant is Φᵣ = [[Φ₂, Γ₂], [0, 0]], Γᵣ = [0, 0, 1]ᵀ. Ackermann's formula on it reads

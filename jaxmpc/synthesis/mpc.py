@@ -23,12 +23,12 @@ def horizon_mask(horizon: Scalar, length: int, width: Scalar | float = 1.0) -> F
 def first_move(
     Phi: Float[Array, "n n"],
     Gamma: Float[Array, " n"],
-    lam: Float[Array, " {HU_MAX}"],
-    delta: Float[Array, " {HP_MAX}"],
+    lam: Float[Array, " Hu_max"],
+    delta: Float[Array, " Hp_max"],
     Hp: Scalar,
     Hu: Scalar,
     mask_width: Scalar | float = 1.0,
-) -> tuple[Float[Array, " {HP_MAX}"], Float[Array, " n"], Scalar]:
+) -> tuple[Float[Array, " Hp_max"], Float[Array, " n"], Scalar]:
     r"""Gains of Δu = r·F_d − mₓ·x̂ − mᵤ u₋₁, the first row of the paper's (29).
 
         ΔU = (Θᵀ δ Θ + λ)⁻¹ Θᵀ δ (F_d − Ψ x̂ − Υ u₋₁),   output row C = [1 0 …] folded into Ψ, Υ, Θ

@@ -8,7 +8,7 @@ with aₖ = vₖ for the paper's ideal damping (6), which then sits in φ and γ
 damping through the sampled, filtered velocity, delayed like every command.
 """
 
-from math import exp, pi
+from math import pi
 from typing import Any, NamedTuple
 
 Scalar = Any
@@ -17,6 +17,8 @@ Scalar = Any
 class Contact(NamedTuple):
     """Constants of one axis; each may be a batch."""
 
+    T_s: Scalar
+    """Sampling time [s]."""
     stiffness: Scalar
     """Stiffness of the tissue K_s [N/m]."""
     phi: tuple[Scalar, Scalar]
@@ -52,11 +54,6 @@ def init(x: Scalar = 0.0) -> ContactState:
     """A tip at rest at x [m], touching without force."""
     zero = 0.0 * x
     return ContactState(x, zero, zero, zero, (zero, zero))
-
-
-def low_pass_pole(cutoff: float, T_s: float) -> float:
-    """Pole of a first-order low-pass with a cut-off [rad/s]; 0 (no filter) for a cut-off of 0 or infinity."""
-    return exp(-cutoff * T_s) if cutoff > 0.0 else 0.0
 
 
 def hertz(frequency: float) -> float:
@@ -100,5 +97,3 @@ def move(contact: Contact, state: ContactState, v: Scalar) -> tuple[ContactState
 def quantise(value: Scalar, lsb: Scalar, floor: Any) -> Scalar:
     """Value rounded to a multiple of a positive least significant bit, half up."""
     return floor(value / lsb + 0.5) * lsb
-
-

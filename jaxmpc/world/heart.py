@@ -46,8 +46,12 @@ def harmonic_motion(t: np.ndarray, scale: float = 1.0, phase_seed: int | None = 
     if phase_seed is not None:
         phases = np.random.Generator(np.random.Philox(phase_seed)).uniform(0.0, 2.0 * np.pi, phases.shape)
     angle = 2.0 * np.pi * HARMONICS_HZ * t[:, None]
-    motion: Motion = 1e-3 * scale * np.stack(
-        [np.cos(angle + phase) @ amplitude for phase, amplitude in zip(phases, AMPLITUDES_MM, strict=True)], axis=1
+    motion: Motion = (
+        1e-3
+        * scale
+        * np.stack(
+            [np.cos(angle + phase) @ amplitude for phase, amplitude in zip(phases, AMPLITUDES_MM, strict=True)], axis=1
+        )
     )
     return motion
 

@@ -1,0 +1,18 @@
+"""What an entry point may do to the process, and a library may not: 64-bit JAX, one device per core."""
+
+import os
+
+
+def use_all_cores(cores: int | None = None) -> None:
+    """Switch 64-bit JAX on and give every CPU core a device of its own; call before JAX computes anything.
+
+    A device count set by the user in XLA_FLAGS is respected.
+
+    Args:
+        cores: Number of devices; None is the number of cores this process may use.
+    """
+    import jax
+
+    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
+    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        jax.config.update("jax_num_cpu_devices", cores or len(os.sched_getaffinity(0)))  # type: ignore[no-untyped-call]

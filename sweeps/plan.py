@@ -1,0 +1,176 @@
+"""A spec with everything resolved: its canonical form, its hash, and what each row holds."""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from jaxmpc.errors import InputError
+from jaxmpc.params import BOUNDS, Params
+from jaxmpc.sealed import LARGEST, digest
+from sweeps.space import Space
+from sweeps.spec import SweepSpec
+
+SCHEMA = "jaxmpc-sweep/1"
+CHUNK = 2048
+"""Rows of a chunk file, the most that a kill can cost."""
+
+
+class Quantity(NamedTuple):
+    """What a column of the result measures."""
+
+    unit: str
+    per_axis: bool
+    text: str
+
+
+QUANTITIES = {
+    "rms": Quantity("N", True, "residual force, root mean square"),
+    "peak_to_peak": Quantity("N", True, "residual force, peak to peak"),
+    "effort": Quantity("m/s²", True, "acceleration asked of the robot, root mean square"),
+    "chatter": Quantity("m/s²", True, "change of that acceleration from sample to sample, root mean square"),
+    "M_s": Quantity("-", False, "peak sensitivity"),
+    "gain_margin_db": Quantity("dB", False, "gain increase to instability"),
+    "gain_reduction_db": Quantity("dB", False, "gain decrease to instability"),
+    "phase_margin_deg": Quantity("deg", False, "smallest lag to instability"),
+    "delay_margin_s": Quantity("s", False, "smallest added delay to instability"),
+    "spectral_radius": Quantity("-", False, "largest eigenvalue of the closed loop"),
+}
+"""Columns per stiffness (and axis), beside the row number, the swept parameters and the status."""
+
+
+class Column(NamedTuple):
+    """Type and shape of one row's entry."""
+
+    dtype: str
+    shape: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be computed, whoever computes it and in whatever portions.
+
+    Attributes:
+        canonical: The spec as plain data, every default written out, a recording as the hash of its content.
+    """
+
+    canonical: dict[str, Any]
+
+    @cached_property
+    def spec_hash(self) -> str:
+        """sha256 of the canonical spec; names and places of files are no part of it."""
+        return digest(self.canonical)
+
+    @cached_property
+    def space(self) -> Space:
+        """The points of the sweep."""
+        return msgspec.convert(self.canonical["space"], Space)
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """Row numbers that are computed, ascending."""
+        return self.space.rows()
+
+    @cached_property
+    def base(self) -> Params:
+        """The base controller."""
+        return Params.from_dict(self.canonical["params"])
+
+    @property
+    def stiffness(self) -> tuple[float, ...]:
+        """Tissue stiffnesses [N/m]."""
+        return tuple(self.canonical["experiment"]["stiffness"])
+
+    @cached_property
+    def layout(self) -> dict[str, Column]:
+        """The columns of the result in their fixed order."""
+        tissues, measured = len(self.stiffness), {"float32": "<f4", "float64": "<f8"}[self.canonical["precision"]]
+        columns = {"row": Column("<i8", ())} | {axis.name: Column("<f8", ()) for axis in self.space.axes}
+        columns["status"] = Column("|i1", (tissues,))
+        for name, quantity in QUANTITIES.items():
+            # What a run measures has the precision of the run, margins are always float64.
+            kind = Column(measured, (tissues, 3)) if quantity.per_axis else Column("<f8", (tissues,))
+            columns[name] = kind
+        return columns
+
+    @cached_property
+    def row_bytes(self) -> int:
+        """Size of one row of the result [bytes]."""
+        return sum(np.dtype(dtype).itemsize * int(np.prod(shape)) for dtype, shape in self.layout.values())
+
+    def params(self, first: int, last: int) -> Params:
+        """The controllers of the planned rows first … last − 1, as a batch."""
+        return self.base.with_columns(self.space.columns(self.rows[first:last]))
+
+    def portions(self, missing: np.ndarray, chunk: int) -> Iterator[tuple[int, int]]:
+        """Stretches of at most `chunk` rows that cover the missing ones.
+
+        Args:
+            missing: Whether each planned row is missing.
+            chunk: Rows of a portion.
+        """
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
+        for begin, end in edges.reshape(-1, 2).tolist():
+            for first in range(begin, end, chunk):
+                yield first, min(first + chunk, end)
+
+
+def make_plan(spec: SweepSpec) -> Plan:
+    """The plan of a spec.
+
+    Raises:
+        InputError: The recording cannot be read, or the experiment leaves nothing to score.
+    """
+    experiment = spec.experiment.to_dict()
+    del experiment["name"]
+    _ = spec.experiment.signals
+    if file := experiment["motion"]["file"]:
+        experiment["motion"]["file"] = "sha256:" + hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    canonical = {
+        "schema": SCHEMA,
+        "experiment": experiment,
+        "params": spec.params.to_dict(),
+        "precision": spec.precision,
+        "space": msgspec.to_builtins(spec.space),
+    }
+    # Through JSON types, so that a plan read back from its manifest is the same one.
+    return Plan(msgspec.json.decode(msgspec.json.encode(canonical)))
+
+
+def check_chunk(plan: Plan, chunk: int) -> None:
+    """Refuse a chunk that could not be read back.
+
+    Raises:
+        InputError: It is not positive or too large.
+    """
+    most = LARGEST // 2 // plan.row_bytes
+    if not 1 <= chunk <= most:
+        raise InputError("chunk", chunk, f"in [1, {most}] rows", f"Its default is {CHUNK}.")
+
+
+def describe(plan: Plan) -> str:
+    """What was resolved, for a person."""
+    space, experiment = plan.space, plan.canonical["experiment"]
+    swept = {axis.name: axis for axis in space.axes}
+    lines = []
+    for name, axis in swept.items():
+        ends = f"{min(axis.values):.6g} … {max(axis.values):.6g} {BOUNDS[name][2]}"
+        points = f"{len(axis.values)} values" if space.kind == "grid" or axis.scale == "list" else "drawn"
+        lines.append(f"  {name:<11} {ends}, {points}, {axis.scale}")
+    fixed = {k: v for k, v in plan.canonical["params"].items() if k not in swept}
+    lines.append("  fixed       " + ", ".join(f"{k} {_short(v)}" for k, v in fixed.items()))
+    lines.append(f"  stiffness   {', '.join(f'{k:g}' for k in plan.stiffness)} N/m")
+    lines.append(
+        f"  experiment  {experiment['duration']:g} s at {experiment['sampling_time']:g} s, {experiment['damping']}"
+        f" damping, motion {experiment['motion']['kind']}, {plan.canonical['precision']}"
+    )
+    return "\n".join(lines)
+
+
+def _short(value: Any) -> str:
+    return f"a diagonal of {len(value)}" if isinstance(value, list) else f"{value}"

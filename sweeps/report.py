@@ -1,0 +1,113 @@
+"""A sweep for people: its heat map, what robustness costs (Pareto front), which rows to take (table)."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
+from jaxmpc.params import BOUNDS
+from jaxmpc.status import Status
+from sweeps.heat import heat_map, mapped_axes
+from sweeps.looks import WORST_M_S, WORST_RMS, plain_ticks
+from sweeps.result import Point, Result
+
+__all__ = ["heat_map", "mapped_axes", "pareto_figure", "table"]
+
+FRAME = 10.0
+"""The Pareto figure shows up to this times the least residual and the least M_s; farther rows are counted."""
+
+
+def pareto_figure(
+    result: Result,
+    path: str | Path,
+    baseline: Point | None = None,
+    *,
+    max_M_s: float = 2.0,
+) -> None:
+    """Draw worst-case residual against worst-case peak sensitivity, with the front that no row beats.
+
+    Args:
+        result: The sweep.
+        path: The figure's file.
+        baseline: A controller to compare with; the sweep's own base controller by default.
+        max_M_s: Largest accepted peak sensitivity, drawn as a line [-].
+    """
+    baseline = baseline or result.baseline
+    shown = np.isfinite(result.worst_rms) & np.isfinite(result.worst_M_s)
+    front = result.pareto()
+    with figure(Path(path), size=(7.0, 4.4)) as axes:
+        size, alpha = (4.0, 0.35) if shown.sum() > 2000 else (9.0, 0.5)
+        rms, M_s = result.worst_rms[shown], result.worst_M_s[shown]
+        axes.scatter(M_s, rms, s=size, color=BASELINE, alpha=alpha, lw=0.0, rasterized=True, label="controllers")
+        if len(front):
+            axes.step(front.worst_M_s, front.worst_rms, where="post", color=TUNED, lw=1.2)
+            axes.scatter(front.worst_M_s, front.worst_rms, s=16, color=TUNED, zorder=3, label="Pareto front")
+        axes.axvline(max_M_s, color=ACCENT, lw=0.9, ls="--", label=f"$M_s$ = {max_M_s:g}")
+        if baseline and np.isfinite(baseline.rms) and np.isfinite(baseline.M_s):
+            text = f"baseline: {baseline.rms:.3g} N, $M_s$ {baseline.M_s:.3g}"
+            axes.scatter(
+                baseline.M_s, baseline.rms, s=70, facecolor="white", edgecolor=ACCENT, lw=1.6, zorder=4, label=text
+            )
+        best = result.best(1, max_M_s)
+        if len(best):
+            text = f"best with $M_s$ ≤ {max_M_s:g}: {best.worst_rms[0]:.3g} N"
+            axes.scatter(
+                best.worst_M_s, best.worst_rms, s=130, marker="*", color=ACCENT, edgecolor="white", zorder=5, label=text
+            )
+        if len(rms):
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            plain_ticks(axes.xaxis)
+            plain_ticks(axes.yaxis)
+        outside = _frame(axes, M_s, rms, baseline)
+        axes.set_xlabel(WORST_M_S)
+        axes.set_ylabel(WORST_RMS)
+        failed = int((~shown).sum())
+        text = f"{len(result)} controllers on {len(result.plan.stiffness)} stiffnesses: {failed} not stable on all"
+        text += f", {outside} outside the frame" if outside else ""
+        axes.set_title(text, loc="left", fontsize=9.0, color=BASELINE)
+        axes.legend(loc="upper right")
+
+
+def _frame(axes: Any, M_s: np.ndarray, rms: np.ndarray, baseline: Point | None) -> int:
+    """Keep the figure to what matters; returns how many rows are not in it."""
+    if not len(rms):
+        return 0
+    outside = np.zeros(len(rms), bool)
+    for values, limit, base in ((M_s, axes.set_xlim, "M_s"), (rms, axes.set_ylim, "rms")):
+        known = getattr(baseline, base) if baseline else np.inf
+        top = max(FRAME * values.min(), 1.5 * known if np.isfinite(known) else 0.0)
+        if values.max() > top:
+            limit(right=top) if base == "M_s" else limit(top=top)
+            outside |= values > top
+    return int(outside.sum())
+
+
+def table(result: Result, n: int = 10, max_M_s: float = 2.0) -> str:
+    """The best rows as aligned text: swept parameters, worst-case residual and margins.
+
+    Args:
+        result: The sweep.
+        n: Rows at most.
+        max_M_s: Largest accepted worst-case peak sensitivity [-].
+    """
+    best = result.best(n, max_M_s)
+    if not len(best):
+        stable = int((result["status"] == Status.OK).all(axis=1).sum())
+        return f"no row has M_s ≤ {max_M_s:g} at every stiffness; {stable} of {len(result)} are stable at every one"
+    swept = [axis.name for axis in result.plan.space.axes]
+    head = ["row", *(_with_unit(name, BOUNDS[name][2]) for name in swept), "rms [N]", "M_s", "gain [dB]", "delay [ms]"]
+    lines = [head]
+    for place in range(len(best)):
+        gain = min(best["gain_margin_db"][place].min(), best["gain_reduction_db"][place].min())
+        values = [best.worst_rms[place], best.worst_M_s[place], gain, 1e3 * best["delay_margin_s"][place].min()]
+        lines.append([str(best["row"][place])] + [f"{v:.4g}" for v in [*(best[s][place] for s in swept), *values]])
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = ["  ".join(word.rjust(width) for word, width in zip(line, widths, strict=True)) for line in lines]
+    title = f"best rows with M_s ≤ {max_M_s:g}; rms, M_s and margins are the worst over stiffness (and axis)"
+    return "\n".join([title, *text])
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return name if unit in ("-", "samples") else f"{name} [{unit}]"

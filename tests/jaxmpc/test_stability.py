@@ -1,0 +1,167 @@
+"""Margins against their own definition on an independent model, python-control, and central differences."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import control
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmpc import InputError, Margins, Params, design, margins
+from jaxmpc.stability.crossings import loop_margins
+from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
+from jaxmpc.stability.response import loop_response
+from jaxmpc.synthesis import design_one
+from jaxmpc.world.contact import hertz
+
+T_S = 1e-3
+SENSOR = hertz(500.0)
+TUNED = Params(K2=100.0, Khat_s=970.0, Q_p=10.0, T_cl=2e-4)
+CLASSICAL = Params(architecture="mpc", Q_p=1e3, Hp=60, Hu=10)
+CASES = [
+    (Params(), 375.0, 1, True),
+    (Params(), 810.0, 2, True),
+    (Params(), 1900.0, 1, False),
+    (Params.published("printed"), 1200.0, 1, False),
+    (TUNED, 1900.0, 1, False),
+    (TUNED, 375.0, 1, True),
+    (Params(architecture="aob"), 810.0, 1, False),
+    (CLASSICAL, 810.0, 1, True),
+]
+Cut = tuple[Any, Any, float]
+
+
+@partial(jax.jit, static_argnames="ideal")
+def cut_margins(params: Params, K_s: Any, delay: Any, ideal: bool, cut: Any) -> Any:
+    gains, _ = design_one(params, T_S)
+    contact = contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=0.0 if ideal else SENSOR)
+
+    def loop(theta: Any, late: Any = None) -> Any:
+        return loop_response(gains, contact, theta, cut, late)
+
+    return loop_margins(loop, loop, T_S)
+
+
+def radius(A: np.ndarray) -> float:
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES)
+def test_spectral_radius_is_that_of_the_independent_loop(
+    independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
+) -> None:
+    gains = design(params)
+    sensor = 0.0 if ideal else SENSOR
+    A, *_ = independent_loop(gains, K_s, float(params.K2), delay, ideal, sensor)
+    expected = (
+        radius(A[:, np.arange(len(A)) != 3][np.arange(len(A)) != 3]) if params.architecture == "mpc" else radius(A)
+    )
+    contact = contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=sensor)
+    assert float(spectral_radius(closed_loop_matrix(gains, contact))) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("cut", [0.0, 1.0])
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES)
+def test_gain_or_delay_at_the_margin_puts_a_pole_on_the_unit_circle(
+    independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool, cut: float
+) -> None:
+    """The definition itself, with eigenvalues of a loop in which exactly that gain or delay was put."""
+    gains, place = design(params), "a" if cut else "v"
+    build = partial(independent_loop, gains, K_s, float(params.K2), delay, ideal, 0.0 if ideal else SENSOR)
+    found = cut_margins(params, K_s, float(delay), ideal, cut)
+
+    def at_the_limit(**change: float) -> float:
+        A, *_ = build(**change)
+        keep = np.arange(len(A)) != 3 if params.architecture == "mpc" else slice(None)
+        return radius(A[keep][:, keep])
+
+    for gain_db in (float(found.gain_margin_db), -float(found.gain_reduction_db)):
+        if np.isfinite(gain_db):
+            assert at_the_limit(**{f"gain_{place}": 10 ** (gain_db / 20)}) == pytest.approx(1.0, abs=1e-6)
+    late = float(found.delay_margin_s) / T_S
+    assert at_the_limit(**{f"late_{place}": late}) == pytest.approx(1.0, abs=1e-6)
+    assert at_the_limit(**{f"late_{place}": 0.98 * late}) < 1.0
+
+
+@pytest.mark.parametrize("cut", [0.0, 1.0])
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES[:6])
+def test_margins_are_those_of_python_control(params: Params, K_s: float, delay: int, ideal: bool, cut: float) -> None:
+    """On frequency data: its polynomial route finds false crossings here."""
+    gains = design(params)
+    contact = contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=0.0 if ideal else SENSOR)
+    omega = np.geomspace(0.5, 0.9999 * np.pi / T_S, 20_000)
+    data = control.FRD(np.asarray(loop_response(gains, contact, jnp.asarray(omega * T_S), cut)), omega, smooth=True)
+    gain, phase, distance, *_ = control.stability_margins(data, returnall=True)
+    found = cut_margins(params, K_s, float(delay), ideal, cut)
+    decibels = 20 * np.log10(gain)
+    assert float(found.gain_margin_db) == pytest.approx(decibels[decibels > 0].min(initial=np.inf), rel=1e-3)
+    assert float(found.gain_reduction_db) == pytest.approx((-decibels[decibels < 0]).min(initial=np.inf), rel=1e-3)
+    assert float(found.phase_margin_deg) == pytest.approx(np.mod(phase, 360.0).min(), rel=1e-3)
+    assert float(found.M_s) == pytest.approx(1.0 / distance.min(), rel=1e-3)
+
+
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES[:6])
+def test_closed_form_response_is_that_of_the_running_law(
+    independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
+) -> None:
+    """1/(1 + L) is also the response of the running loop, from noise added before the cut to behind it.
+
+    Noise on the sensor sees the force loop alone: y/noise = 1/(1 + L_v) when cut at v.
+    """
+    gains = design(params)
+    sensor = 0.0 if ideal else SENSOR
+    A, B, C, D = independent_loop(gains, K_s, float(params.K2), delay, ideal, sensor)
+    contact = contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=sensor)
+    for omega in 2 * np.pi * np.array([0.7, 5.0, 30.0, 120.0, 450.0]):
+        z = np.exp(1j * omega * T_S)
+        expected = (C @ np.linalg.solve(z * np.eye(len(A)) - A, B[:, 1]) + D[:, 1])[0]
+        ours = 1.0 / (1.0 + loop_response(gains, contact, jnp.float64(omega * T_S), 0.0))
+        np.testing.assert_allclose(complex(ours), expected, rtol=1e-8)
+
+
+NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
+
+
+@pytest.mark.parametrize(("ideal", "mode"), [(True, "reverse"), (False, "reverse"), (False, "forward")])
+def test_gradient_of_every_margin_is_the_central_difference(ideal: bool, mode: str) -> None:
+    point = jnp.log(jnp.array([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0]))
+
+    @jax.jit
+    def values(x: jax.Array) -> jax.Array:
+        params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))
+        return jnp.stack(margins(params, 1500.0, ideal=ideal)[:6])
+
+    jacobian = np.asarray({"forward": jax.jacfwd, "reverse": jax.jacrev}[mode](values)(point))
+    step = 1e-5
+    shifts = step * np.eye(len(point))
+    difference = np.stack([(values(point + s) - values(point - s)) / (2 * step) for s in shifts], axis=1)
+    for ours, expected in zip(jacobian, difference, strict=True):
+        np.testing.assert_allclose(ours, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_unstable_loops_have_a_radius_with_a_gradient() -> None:
+    """A tuner that starts there must be able to walk to stability."""
+    slope = jax.grad(lambda k: margins(Params(Khat_s=k), 1900.0, ideal=True).spectral_radius)(200.0)
+    assert np.isfinite(slope)
+    assert slope < 0.0
+
+
+def test_batches_and_stiffness_sets_keep_their_shape() -> None:
+    batch = Params.stack([Params(), Params(Q_p=2.0)])
+    found = margins(batch, np.array([375.0, 810.0, 1900.0]), ideal=True)
+    assert found.M_s.shape == (2, 3)
+    alone = margins(Params(Q_p=2.0), np.array([375.0, 810.0, 1900.0]), ideal=True)
+    np.testing.assert_allclose(found.M_s[1], alone.M_s, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("stiffness", "delay"), [(0.0, 1), (-5.0, 1), (float("nan"), 1), (810.0, 3)])
+def test_impossible_tissue_or_delay_is_refused(stiffness: float, delay: int) -> None:
+    with pytest.raises(InputError, match="must be"):
+        margins(Params(), stiffness, delay=delay)
+
+
+def test_margins_are_a_named_tuple_with_a_status() -> None:
+    assert Margins._fields[-1] == "status"

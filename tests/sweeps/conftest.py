@@ -1,0 +1,74 @@
+"""One short sweep, run once and shared: its program takes longer to compile than its rows to compute."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from sweeps.result import Result
+from sweeps.run import run
+from sweeps.spec import SweepSpec
+
+SPEC = """\
+[experiment]
+published = "table-1"
+duration = 1.0
+settle = 0.3
+stiffness = [375.0, 1900.0]
+reference = { z = -5.0 }
+
+[params]
+published = "text"
+
+[sweep]
+kind = "grid"
+
+[sweep.axes]
+lam = { log = [0.001, 10.0], points = 40 }
+T_cl = { log = [0.001, 0.02], points = 3 }
+Hp = [3, 10]
+"""
+"""240 rows, of which the half with H_p = 3 < H_u = 5 is left out."""
+
+
+@pytest.fixture(scope="session")
+def spec_text() -> str:
+    return SPEC
+
+
+@pytest.fixture
+def write_spec(tmp_path: Path) -> Callable[[str], Path]:
+    def write(text: str) -> Path:
+        path = tmp_path / "spec.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def spec(tmp_path_factory: pytest.TempPathFactory) -> SweepSpec:
+    path = tmp_path_factory.mktemp("spec") / "spec.toml"
+    path.write_text(SPEC)
+    return SweepSpec.from_toml(path)
+
+
+@pytest.fixture(scope="session")
+def finished(spec: SweepSpec, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    """The folder of the sweep, done in one go, and its result. Nobody changes the folder."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    return folder, run(spec, folder)
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
+    """`jaxmpc` in this process, from an empty folder; the number of devices is fixed already."""
+    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=1")
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: object) -> int:
+        from jaxmpc.cli import main
+
+        return main([str(argument) for argument in arguments])
+
+    return call

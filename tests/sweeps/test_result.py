@@ -1,0 +1,172 @@
+"""What is made of a result: best rows, Pareto front, exports, figures, table."""
+
+import csv
+import sys
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxmpc.errors import InputError
+from jaxmpc.params import Params
+from jaxmpc.status import Status
+from sweeps.plan import QUANTITIES, Plan
+from sweeps.report import heat_map, mapped_axes, pareto_figure, table
+from sweeps.result import Point, Result
+
+Finished = tuple[Path, Result]
+ROWS = 120
+
+
+def made_up(points: np.ndarray, status: np.ndarray, plan: Plan) -> Result:
+    """A result with given residual and peak sensitivity per row, (n, 2), at the first of two stiffnesses."""
+    n = len(points)
+    rms, M_s = np.zeros((n, 2, 3), np.float32), np.ones((n, 2))
+    rms[:, 0, 2], M_s[:, 0] = points.T
+    return Result(plan, {"row": np.arange(n), "status": status, "rms": rms, "M_s": M_s})
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_front_is_the_one_of_brute_force(seed: int, finished: Finished) -> None:
+    random = np.random.default_rng(seed)
+    # Few distinct values, so that there are ties and repetitions of every kind.
+    rms = random.integers(1, 12, 80)
+    points = np.stack([rms, 13 - rms + random.integers(0, 4, 80)], axis=1).astype(float)
+    status = np.where(random.random((80, 2)) < 0.1, Status.DIVERGED, Status.OK)
+    result = made_up(points, status, finished[1].plan)
+    ok = (status == Status.OK).all(axis=1)
+    beaten = [
+        any(ok[j] and (points[j] <= points[i]).all() and (points[j] < points[i]).any() for j in range(80))
+        for i in range(80)
+    ]
+    expected = np.flatnonzero(ok & ~np.array(beaten))
+    assert 5 < len(expected) < 80
+    front = result.pareto()
+    assert sorted(front["row"]) == expected.tolist()
+    assert (np.diff(front.worst_M_s) >= 0).all()
+
+
+def test_the_best_rows_are_robust_and_ordered(finished: Finished) -> None:
+    points = np.array([[0.1, 3.0], [0.4, 1.5], [0.2, 2.0], [0.05, 1.2], [0.3, np.nan]])
+    status = np.zeros((5, 2), int)
+    status[3, 1] = Status.UNSTABLE
+    result = made_up(points, status, finished[1].plan)
+    assert result.best(10, 2.0)["row"].tolist() == [2, 1]
+    assert result.best(1, 3.5)["row"].tolist() == [0]
+    assert result.worst_rms[3] == np.inf
+    assert result.worst_M_s[4] == np.inf
+
+
+def test_a_row_is_a_controller(finished: Finished) -> None:
+    _, result = finished
+    controller, base = result.controller(7), Params.published("text")
+    for name in ("lam", "T_cl", "Hp"):
+        assert float(getattr(controller, name)) == result[name][7]
+    assert float(controller.K2) == float(base.K2)
+    assert controller.batch_shape == ()
+
+
+def test_the_baseline_is_the_base_controller(finished: Finished) -> None:
+    _, result = finished
+    assert result.baseline is not None
+    # λ = 0.1 and T_cl = 4.47e-3 are on the grid, the text design's T_cl = 3e-3 is not; M_s is the published one.
+    assert result.baseline.M_s == pytest.approx(4.53, rel=0.01)
+
+
+def test_counts_add_up(finished: Finished) -> None:
+    _, result = finished
+    counts = result.status_counts()
+    assert sum(counts.values()) == 2 * ROWS
+    assert counts["OK"] == (result["status"] == 0).sum() > 0
+    assert counts["UNSTABLE"] == np.isinf(result["M_s"]).sum() > 0
+
+
+def test_an_unknown_column_is_named(finished: Finished) -> None:
+    with pytest.raises(InputError, match="Did you mean 'M_s'"):
+        finished[1]["Ms"]
+
+
+def test_csv_holds_every_row_and_stiffness(finished: Finished, tmp_path: Path) -> None:
+    _, result = finished
+    result.to_csv(tmp_path / "rows.csv")
+    with (tmp_path / "rows.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * ROWS
+    last = rows[-1]
+    assert int(last["row"]) == result["row"][-1]
+    assert float(last["T_cl [s]"]) == result["T_cl"][-1]
+    assert (float(last["stiffness [N/m]"]), last["status"]) == (1900.0, Status(result["status"][-1, 1]).name)
+    assert float(last["rms_z [N]"]) == result["rms"][-1, 1, 2]
+    assert float(last["delay_margin_s [s]"]) == result["delay_margin_s"][-1, 1]
+
+
+def test_xarray_has_dimensions_coordinates_and_units(finished: Finished) -> None:
+    pytest.importorskip("xarray")
+    _, result = finished
+    data = result.to_xarray()
+    assert data["rms"].dims == ("row", "stiffness", "axis")
+    assert data["M_s"].dims == data["status"].dims == ("row", "stiffness")
+    assert data.sizes == {"row": ROWS, "stiffness": 2, "axis": 3}
+    assert {name: data[name].attrs["units"] for name in QUANTITIES} == {n: q.unit for n, q in QUANTITIES.items()}
+    assert data["T_cl"].attrs["units"] == "s"
+    assert data.attrs["result_hash"] == result.hash
+    row = int(result["row"][5])
+    assert data["rms"].sel(row=row, stiffness=375.0, axis="z") == result["rms"][5, 0, 2]
+
+
+def test_without_xarray_the_extra_is_named(finished: Finished, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(InputError, match=r"jaxmpc\[analysis\]"):
+        finished[1].to_xarray()
+
+
+def test_report_writes_figures_and_the_best_controller(
+    finished: Finished, command: Callable[..., int], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder, result = finished
+    before = sorted(folder.rglob("*"))
+    out = tmp_path / "figures"
+    arguments = ("sweep", "report", folder, "-o", out, "--csv", tmp_path / "all.csv", "--max-ms", 5, "-n", 3)
+    assert command(*arguments) == 0
+    said = capsys.readouterr().out
+    best = result.best(3, 5.0)
+    assert len(best) == 3
+    assert table(result, 3, 5.0) in said
+    assert result.hash in said
+    assert {path.name for path in out.iterdir()} == {"pareto.png", "heat-map.png", "best.toml"}
+    values = tomllib.loads((out / "best.toml").read_text())["params"]
+    assert (values["lam"], values["T_cl"], values["Hp"]) == (best["lam"][0], best["T_cl"][0], best["Hp"][0])
+    assert Params.from_toml(out / "best.toml").to_dict() == best.controller(0).to_dict()
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_the_table_says_when_nothing_is_robust(finished: Finished) -> None:
+    assert "no row has M_s ≤ 1.01" in table(finished[1], 3, 1.01)
+
+
+def test_the_map_takes_axes_that_vary_and_refuses_others(finished: Finished, tmp_path: Path) -> None:
+    _, result = finished
+    assert mapped_axes(result) == ("lam", "T_cl")
+    heat_map(result, tmp_path / "other.png", x="Hp")
+    assert (tmp_path / "other.png").stat().st_size > 10_000
+    for wrong in ({"x": "Ks"}, {"x": "lam", "y": "lam"}):
+        with pytest.raises(InputError):
+            heat_map(result, tmp_path / "wrong.png", **wrong)
+    assert not (tmp_path / "wrong.png").exists()
+
+
+@pytest.mark.filterwarnings("error")
+def test_figures_stand_a_sweep_in_which_everything_failed(finished: Finished, tmp_path: Path) -> None:
+    _, result = finished
+    columns = dict(result.columns) | {
+        "status": np.full_like(result["status"], Status.UNSTABLE),
+        "M_s": np.full_like(result["M_s"], np.inf),
+        "rms": np.full_like(result["rms"], np.nan),
+    }
+    failed = replace(result, columns=columns, baseline=Point(np.inf, np.inf))
+    heat_map(failed, tmp_path / "heat.png")
+    pareto_figure(failed, tmp_path / "pareto.png")
+    assert "0 of 120 are stable" in table(failed)

@@ -1,0 +1,311 @@
+"""The same spec gives the same result, in whatever portions, order, devices and after whatever accident."""
+
+import json
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import msgspec
+import numpy as np
+import pytest
+
+from jaxmpc import evaluate
+from jaxmpc.sealed import SEAL
+from jaxmpc.status import Status
+from sweeps import run as run_module
+from sweeps import store
+from sweeps.plan import QUANTITIES, make_plan
+from sweeps.result import Result
+from sweeps.run import run
+from sweeps.spec import SweepSpec
+
+ROWS = 120
+Finished = tuple[Path, Result]
+
+
+@pytest.fixture
+def copy(finished: Finished, spec: SweepSpec, tmp_path: Path) -> Path:
+    """A finished sweep in four chunks, to be damaged."""
+    folder = tmp_path / "copy"
+    assert run(spec, folder, chunk=32).hash == finished[1].hash
+    return folder
+
+
+def chunks(folder: Path) -> dict[str, tuple[int, bytes]]:
+    return {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in (folder / "chunks").glob("0*.npz")}
+
+
+def test_what_is_read_back_is_what_was_computed(finished: Finished) -> None:
+    folder, result = finished
+    loaded = Result.load(folder)
+    assert (len(loaded), loaded.complete, loaded.hash) == (ROWS, True, result.hash)
+    assert loaded.baseline == result.baseline
+    assert json.loads((folder / "result.json").read_text())["result_hash"] == result.hash
+
+
+def test_the_hash_sees_every_column(finished: Finished) -> None:
+    _, result = finished
+    for name in result.plan.layout:
+        columns = {key: values.copy() for key, values in result.columns.items()}
+        columns[name].reshape(-1).view(np.uint8)[-1] ^= 1
+        assert Result(result.plan, columns).hash != result.hash
+
+
+def test_no_bit_depends_on_the_chunk_size(finished: Finished, copy: Path) -> None:
+    assert len(chunks(copy)) == 4
+    assert Result.load(copy).hash == finished[1].hash
+
+
+def test_no_bit_depends_on_the_order_of_rows(spec: SweepSpec) -> None:
+    order = np.random.default_rng(0).permutation(ROWS)
+    plan, evaluator = make_plan(spec), run_module._evaluator(spec)
+    batch = plan.params(0, ROWS)
+    straight = evaluator(batch)
+    shuffled = evaluator(jax.tree.map(lambda leaf: leaf[order], batch))
+    for one, other in zip(jax.tree.leaves(straight), jax.tree.leaves(shuffled), strict=True):
+        np.testing.assert_array_equal(one[order], other)
+
+
+def test_rows_are_those_of_evaluate(spec: SweepSpec, tmp_path: Path) -> None:
+    # Without quantisation: it makes float32 and float64 runs that are nearly unstable drift apart (3 % in RMS).
+    sensor = msgspec.structs.replace(spec.experiment.sensor, lsb=(0.0, 0.0, 0.0))
+    smooth = replace(spec, experiment=msgspec.structs.replace(spec.experiment, sensor=sensor))
+    result = run(smooth, tmp_path / "run")
+    exact = evaluate(make_plan(smooth).params(0, ROWS), smooth.experiment)
+    np.testing.assert_array_equal(result["status"], exact.status)
+    ok = result["status"] == Status.OK
+    assert 0 < ok.sum() < ok.size
+    for name, quantity in QUANTITIES.items():
+        expected = np.asarray(getattr(exact.metrics if quantity.per_axis else exact.margins, name))
+        # Margins are float64 on both sides; 1000 float32 steps of the slowest loops lose three of seven digits.
+        tolerance = 5e-4 if quantity.per_axis else 1e-9
+        np.testing.assert_allclose(result[name][ok], expected[ok], rtol=tolerance, err_msg=name)
+        if quantity.per_axis:
+            assert np.isnan(result[name][~ok]).all()
+
+
+def test_a_finished_sweep_is_left_alone(copy: Path, spec: SweepSpec, finished: Finished) -> None:
+    before, summary = chunks(copy), (copy / "result.json").stat().st_mtime_ns
+    assert run(spec, copy, chunk=50).hash == finished[1].hash
+    assert chunks(copy) == before
+    assert (copy / "result.json").stat().st_mtime_ns == summary
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "other"])
+def test_only_the_damaged_chunk_is_computed_again(
+    damage: str, copy: Path, spec: SweepSpec, finished: Finished, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = chunks(copy)
+    victim = copy / "chunks" / "000000032-000000064.npz"
+    data = bytearray(victim.read_bytes())
+    if damage == "flip":
+        data[random.Random(3).randrange(len(data))] ^= 1 << 5
+    elif damage == "cut":
+        del data[-SEAL - 7 :]
+    else:
+        data = bytearray((copy / "chunks" / "000000064-000000096.npz").read_bytes().replace(b"spec_hash", b"spec_hush"))
+    victim.write_bytes(data)
+    assert run(spec, copy, chunk=32).hash == finished[1].hash
+    assert f"{victim.name} is computed again" in caplog.text
+    after = chunks(copy)
+    assert {name for name in before if before[name][0] != after[name][0]} == {victim.name}
+    assert after[victim.name][1] == before[victim.name][1]
+
+
+def test_a_gap_is_filled_in_another_chunk_size(copy: Path, spec: SweepSpec, finished: Finished) -> None:
+    (copy / "chunks" / "000000032-000000064.npz").unlink()
+    (copy / "result.json").unlink()
+    (copy / "chunks" / ".000000032-000000064.npz.left").write_bytes(b"half a chu")
+    assert len(Result.load(copy)) == ROWS - 32
+    assert not Result.load(copy).complete
+    assert run(spec, copy, chunk=20).hash == finished[1].hash
+    assert {"000000032-000000052.npz", "000000052-000000064.npz"} <= set(chunks(copy))
+
+
+def test_a_folder_killed_before_its_first_chunk_goes_on(spec: SweepSpec, finished: Finished, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / ".manifest.json.left").write_bytes(b'{"schem')
+    assert not store.check(folder, make_plan(spec))
+    shutil.copy(finished[0] / "manifest.json", folder)
+    assert run(spec, folder).hash == finished[1].hash
+
+
+def test_another_environment_is_said(copy: Path, spec: SweepSpec, caplog: pytest.LogCaptureFixture) -> None:
+    path = copy / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["environments"][0]["jaxlib"] = "0.0.1"
+    path.write_text(json.dumps(manifest))
+    run(spec, copy)
+    assert 'jaxlib: there "0.0.1"' in caplog.text
+    assert len(json.loads(path.read_text())["environments"]) == 2
+    caplog.clear()
+    run(spec, copy)
+    assert caplog.text == ""
+
+
+def test_folders_of_something_else_are_refused_untouched(
+    copy: Path,
+    write_spec: Callable[[str], Path],
+    spec_text: str,
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    other = write_spec(spec_text.replace("1900.0", "1800.0"))
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.tex").write_text("\\documentclass")
+    edited = tmp_path / "edited"
+    shutil.copytree(copy, edited)
+    manifest = json.loads((edited / "manifest.json").read_text())
+    manifest["spec"]["experiment"]["duration"] = 2.0
+    (edited / "manifest.json").write_text(json.dumps(manifest))
+    before = sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*"))
+    for folder, word in (
+        (copy, "experiment.stiffness[1]: there 1900.0, here 1800.0"),
+        (mine, "It holds other files"),
+        (mine / "thesis.tex", "A file is in its place"),
+        (edited, "changed by hand"),
+    ):
+        assert command("sweep", other, "-o", folder) == 2
+        assert word in capsys.readouterr().err
+    assert sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*")) == before
+
+
+def test_a_full_disk_stops_cleanly_and_costs_nothing(
+    spec_text: str,
+    write_spec: Callable[[str], Path],
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    finished: Finished,
+) -> None:
+    path, folder = write_spec(spec_text), tmp_path / "run"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8192, hard))
+    try:
+        code = command("sweep", path, "-o", folder, "--quiet")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 1
+    assert "cannot write: File too large" in capsys.readouterr().err
+    assert list((folder / "chunks").iterdir()) == []
+    assert command("sweep", path, "-o", folder, "--quiet") == 0
+    assert finished[1].hash in capsys.readouterr().out
+
+
+def test_a_dry_run_writes_nothing(
+    spec_text: str,
+    write_spec: Callable[[str], Path],
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    assert command("sweep", write_spec(spec_text), "--dry-run", "--chunk", 50) == 0
+    said = capsys.readouterr().out
+    for words in (
+        "rows        120 (120 more with Hu > Hp are left out)",
+        "3 of 50 rows",
+        "7.2e+05",
+        "nothing was written",
+    ):
+        assert words in said
+    assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]
+
+
+def test_ctrl_c_keeps_what_is_finished(
+    spec: SweepSpec,
+    spec_text: str,
+    write_spec: Callable[[str], Path],
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    finished: Finished,
+) -> None:
+    path, folder, write = write_spec(spec_text), tmp_path / "run", store.write_chunk
+
+    def interrupted(*arguments: object) -> None:
+        if len(chunks(folder)) == 2:
+            raise KeyboardInterrupt
+        write(*arguments)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "write_chunk", interrupted)
+        assert command("sweep", path, "-o", folder, "--chunk", 32, "--quiet") == 130
+    assert "run the same command again" in capsys.readouterr().err
+    assert len(chunks(folder)) == 2
+    assert run(spec, folder, chunk=32).hash == finished[1].hash
+
+
+def start(path: Path, folder: Path, cores: int = 2) -> "subprocess.Popen[str]":
+    """The real command, in chunks so small that it takes a while; all starts of a test share compiled programs."""
+    line = [sys.executable, "-m", "jaxmpc", "sweep", str(path), "-o", str(folder), "--chunk", "4"]
+    environment = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"}
+    environment["JAX_COMPILATION_CACHE_DIR"] = str(path.parent / "compiled")
+    line += ["--cores", str(cores)]
+    return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+
+
+def finish(process: "subprocess.Popen[str]") -> str:
+    """The hash that a run prints at its end."""
+    said, _ = process.communicate(timeout=300)
+    found = re.search(r"^result ([0-9a-f]{64})$", said, re.MULTILINE)
+    assert found, said
+    return found[1]
+
+
+def test_kill_9_and_the_number_of_cores_change_no_bit(
+    write_spec: Callable[[str], Path], spec_text: str, tmp_path: Path
+) -> None:
+    path, folder = write_spec(spec_text), tmp_path / "run"
+    process = start(path, folder)
+    while process.poll() is None and len(chunks(folder)) < 5:
+        time.sleep(0.005)
+    process.kill()
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    before = chunks(folder)
+    assert finish(start(path, folder)) == finish(start(path, tmp_path / "at once", cores=3))
+    assert {name: chunk for name, chunk in chunks(folder).items() if name in before} == before
+
+
+@pytest.mark.slow
+def test_five_kills_at_any_moment_change_no_bit(
+    write_spec: Callable[[str], Path], spec_text: str, tmp_path: Path
+) -> None:
+    path, folder = write_spec(spec_text), tmp_path / "run"
+    at_once = finish(start(path, tmp_path / "at once", cores=1))
+    began = time.monotonic()
+    assert finish(start(path, tmp_path / "again")) == at_once
+    whole, choice, kills = time.monotonic() - began, random.Random(5), 0
+    while kills < 5:
+        process = start(path, folder)
+        try:
+            process.wait(choice.uniform(0.0, whole))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            kills += 1
+        process.communicate()
+    assert finish(start(path, folder)) == at_once
+
+
+@pytest.mark.slow
+def test_two_processes_in_one_folder_do_no_harm(
+    write_spec: Callable[[str], Path], spec_text: str, tmp_path: Path
+) -> None:
+    path = write_spec(spec_text)
+    both = [start(path, tmp_path / "run") for _ in range(2)]
+    alone = finish(start(path, tmp_path / "alone"))
+    assert [finish(process) for process in both] == [alone, alone]

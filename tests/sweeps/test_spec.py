@@ -1,0 +1,174 @@
+"""Specs: what is resolved, what counts in the hash, and every way to get one wrong."""
+
+import os
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sweeps.plan import make_plan
+from sweeps.spec import SweepSpec
+
+Write = Callable[[str], Path]
+Command = Callable[..., int]
+
+
+def hash_of(path: Path) -> str:
+    return make_plan(SweepSpec.from_toml(path)).spec_hash
+
+
+def test_overrides_reach_experiment_and_base(write_spec: Write, spec_text: str) -> None:
+    text = spec_text.replace('"text"', '"printed"\narchitecture = "aob"\nK2 = 20').replace(
+        "duration", 'damping = "sampled"\nduration'
+    )
+    spec = SweepSpec.from_toml(write_spec(text))
+    assert spec.experiment.damping == "sampled"
+    assert spec.experiment.stiffness == (375.0, 1900.0)
+    assert spec.experiment.sensor.noise == 0.010
+    assert (spec.params.architecture, float(spec.params.K2), float(spec.params.Khat_s)) == ("aob", 20.0, 500.0)
+    assert spec.precision == "float32"
+
+
+def test_files_are_looked_for_beside_the_spec(write_spec: Write, spec_text: str, tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text("duration = 1.0\nsettle = 0.3\nstiffness = [500.0]\n")
+    (tmp_path / "params.toml").write_text("[params]\nlam = 0.7\n")
+    text = '[experiment]\nfile = "own.toml"\nsettle = 0.2\n[params]\nfile = "params.toml"\nK2 = 30\n'
+    spec = SweepSpec.from_toml(write_spec(text + spec_text[spec_text.index("[sweep]") :]))
+    assert (spec.experiment.stiffness, spec.experiment.settle) == ((500.0,), 0.2)
+    assert (float(spec.params.lam), float(spec.params.K2)) == (0.7, 30.0)
+
+
+def test_the_hash_knows_content_not_names(write_spec: Write, spec_text: str, tmp_path: Path) -> None:
+    first = hash_of(write_spec(spec_text))
+    assert hash_of(write_spec("# a comment\n" + spec_text.replace("[375.0, 1900.0]", "[375, 1900]"))) == first
+    assert hash_of(write_spec(spec_text.replace("duration", 'name = "other"\nduration'))) == first
+    for old, new in (
+        ("40", "41"),
+        ('"text"', '"printed"'),
+        ("1900.0", "1901.0"),
+        ('"grid"', '"grid"\nprecision = "float64"'),
+    ):
+        assert hash_of(write_spec(spec_text.replace(old, new))) != first
+
+
+def test_a_recording_counts_by_its_content(write_spec: Write, spec_text: str, tmp_path: Path) -> None:
+    t = np.arange(0.0, 2.0, 0.01)
+    table = np.stack([t, 0 * t, 0 * t, 1e-3 * np.sin(t)], axis=1)
+    motion = 'motion = { kind = "recording", file = "NAME" }\nduration'
+    hashes = []
+    for name, factor in (("a.csv", 1.0), ("b.csv", 1.0), ("a.csv", 2.0)):
+        np.savetxt(tmp_path / name, table * [1.0, 1.0, 1.0, factor], delimiter=",", header="t,x,y,z", comments="")
+        hashes.append(hash_of(write_spec(spec_text.replace("duration", motion.replace("NAME", name)))))
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+WRONG = {
+    "unknown key": ("kind =", "knid =", ["sweep.knid", "Did you mean 'kind'"]),
+    "unknown table": ("[params]", "[parms]", ["parms", "Did you mean 'params'"]),
+    "unknown parameter": ("T_cl", "T_lc", ["T_lc", "Did you mean 'T_cl'"]),
+    "unknown experiment key": ("settle", "setle", ["experiment.setle", "Did you mean 'settle'"]),
+    "unknown base parameter": ('"text"', '"text"\nlamda = 1', ["params.lamda", "Did you mean 'lam'", "spec.toml:10"]),
+    "unknown published": ('"text"', '"txt"', ["txt", "Did you mean 'text'"]),
+    "both sources": ('"text"', '"text"\nfile = "p.toml"', ["params.file", "Remove one"]),
+    "missing file": ('published = "text"', 'file = "p.toml"', ["p.toml", "No such file"]),
+    "nan in a list": (
+        "[3, 10]",
+        "[3, 10]\nK2 = [1.0, nan]",
+        ["sweep.axes.K2", "nan", "[0, 10000] 1/s", "spec.toml:18"],
+    ),
+    "inf in a range": ("[0.001, 10.0]", "[0.001, inf]", ["sweep.axes.lam", "inf"]),
+    "out of bounds": ("[3, 10]", "[3, 100]", ["sweep.axes.Hp", "100", "[1, 64] samples"]),
+    "fractional horizon": ("[3, 10]", "[3.5, 10]", ["3.5", "a whole number"]),
+    "empty list": ("[3, 10]", "[]", ["sweep.axes.Hp", "at least one value"]),
+    "repetition": ("[3, 10]", "[3, 3]", ["sweep.axes.Hp", "free of repetition"]),
+    "swapped ends": ("[0.001, 10.0]", "[10.0, 0.001]", ["sweep.axes.lam", "[smallest, largest]"]),
+    "zero weight": ("[3, 10]", "[3, 10]\ndelta = [0.0, 1.0]", ["sweep.axes.delta", "above 0"]),
+    "log from zero": ("[3, 10]", "[3, 10]\nQ_x = { log = [0, 1], points = 3 }", ["sweep.axes.Q_x", "above 0"]),
+    "no points": (", points = 3", "", ["sweep.axes.T_cl.points", "given for a grid"]),
+    "one point": ("points = 3", "points = 1", ["points", ">= 2"]),
+    "both spacings": ("{ log = [0.001, 0.02]", "{ linear = [1, 2], log = [0.001, 0.02]", ["either linear or log"]),
+    "rows of a grid": ('"grid"', '"grid"\nrows = 5', ["sweep.rows", "left out of a grid"]),
+    "rows missing": ('"grid"', '"random"', ["sweep.rows", "missing"]),
+    "too many rows": (
+        "points = 40",
+        "points = 90000 }\nK2 = { linear = [5, 50], points = 90",
+        ["48600000 rows", "at most"],
+    ),
+    "no kind": ('kind = "grid"', "", ["sweep.kind", "missing"]),
+    "negative stiffness": ("[375.0, 1900.0]", "[-1.0]", ["experiment.stiffness", "-1.0", "> 0"]),
+    "Hu above Hp in the base": ('"text"', '"text"\nHp = 4', ["params.Hu", "Hp (= 4)"]),
+    "Hu above Hp everywhere": ("[3, 10]", "[3, 4]", ["Hu", "no row is left"]),
+    "negative T_cl": ("[0.001, 0.02]", "[-0.001, 0.02]", ["sweep.axes.T_cl", "-0.001"]),
+    "nothing to score": (
+        "z = -5.0",
+        'z = [{ kind = "ramp", to = -5.0, rate = 2.0 }]',
+        ["settle", "No sample is left to score"],
+    ),
+    "duplicate key": ('kind = "grid"', 'kind = "grid"\nkind = "grid"', ["spec.toml:13", "kind"]),
+    "text for a number": ("[3, 10]", '[3, "10"]', ["sweep.axes.Hp", "a number"]),
+    "a number for an axis": ("[3, 10]", "3", ["sweep.axes.Hp", "a list or a range"]),
+    "unknown key of an axis": ("points = 3", "pionts = 3", ["sweep.axes.T_cl.pionts", "Did you mean 'points'"]),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_specs_are_refused_before_anything_is_written(
+    name: str, write_spec: Write, spec_text: str, command: Command, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    old, new, words = WRONG[name]
+    assert old in spec_text
+    path = write_spec(spec_text.replace(old, new, 1))
+    assert command("sweep", path, "-o", "out") == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "must be" in said
+    assert [word for word in words if word not in said] == []
+    assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["sweep", "spec.toml", "--chunk", "0"],
+        ["sweep", "spec.toml", "--chunk", "10000000"],
+        ["sweep", "spec.toml", "--cores", "0"],
+        ["sweep", "spec.toml", "other.toml"],
+        ["sweep", "spec.toml", "--csv", "rows.csv"],
+        ["sweep", "report"],
+        ["sweep", "report", "nowhere"],
+        ["sweep", "report", "spec.toml", "--chunk", "5"],
+        ["sweep", "report", "spec.toml", "--max-ms", "nan"],
+        ["sweep", "missing.toml"],
+    ],
+)
+def test_wrong_arguments_are_refused(
+    arguments: list[str], write_spec: Write, spec_text: str, command: Command, tmp_path: Path
+) -> None:
+    write_spec(spec_text)
+    assert command(*arguments) == 2
+    assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]
+
+
+def test_the_real_command_refuses_without_a_traceback(write_spec: Write, spec_text: str, tmp_path: Path) -> None:
+    path = write_spec(spec_text.replace("[3, 10]", "[3, nan]"))
+    done = subprocess.run(
+        [sys.executable, "-m", "jaxmpc", "sweep", str(path)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONWARNINGS": "error"},
+    )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert f"{path}:17: sweep.axes.Hp = nan" in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_the_example_of_the_guide_works() -> None:
+    guide = (Path(__file__).parents[2] / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    example = guide.split("```toml\n")[1].split("```")[0]
+    assert len(make_plan(SweepSpec.from_dict(tomllib.loads(example))).rows) == 24 * 20 * 4 * 3

@@ -1,0 +1,55 @@
+"""Goals: normalisation, the violation that leads back, stability first."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmpc.stability import Margins
+from tuning.goals import UNITS, standing
+
+LIMITS = {
+    "M_s": 2.0,
+    "gain_margin_db": 6.0,
+    "gain_reduction_db": 4.0,
+    "phase_margin_deg": 30.0,
+    "delay_margin_s": 1.5e-3,
+}
+
+
+def found(radius: float = 0.99, **changes: float) -> Margins:
+    """Margins of one stiffness, all of them exactly at their limits unless changed."""
+    values = {name: jnp.asarray([value]) for name, value in {**LIMITS, **changes}.items()}
+    return Margins(**values, spectral_radius=jnp.asarray([radius]), status=jnp.asarray([0]))
+
+
+def test_every_goal_is_one_at_its_limit() -> None:
+    np.testing.assert_allclose(standing(found(), LIMITS).normalised, 1.0)
+    assert float(standing(found(), LIMITS).violation) == 0.0
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_better_is_below_one_and_worse_is_above(name: str) -> None:
+    better, worse = (0.8, 1.25) if name == "M_s" else (1.25, 0.8)
+    row = list(LIMITS).index(name)
+    good, bad = (standing(found(**{name: factor * LIMITS[name]}), LIMITS) for factor in (better, worse))
+    assert float(good.normalised[row, 0]) == pytest.approx(0.8)
+    assert float(good.violation) == 0.0
+    assert float(bad.normalised[row, 0]) == pytest.approx(1.25)
+    assert float(bad.violation) == pytest.approx(0.2)
+
+
+def test_an_infinite_margin_meets_its_goal() -> None:
+    assert float(standing(found(gain_reduction_db=np.inf), LIMITS).normalised[2, 0]) == 0.0
+
+
+def test_unstable_is_worse_than_any_stable_loop_and_falls_with_the_radius() -> None:
+    edge = standing(found(M_s=1e9, **dict.fromkeys(list(LIMITS)[1:], 1e-9)), LIMITS)
+
+    def violation(radius: float) -> float:
+        unstable = {"M_s": np.inf, **dict.fromkeys(list(LIMITS)[1:], np.nan)}
+        return standing(found(radius, **unstable), LIMITS).violation
+
+    assert float(violation(1.2)) > float(violation(1.01)) > float(edge.violation)
+    assert float(jax.grad(violation)(1.1)) == pytest.approx(1 / 1.1)
+    assert np.isposinf(standing(found(1.1), LIMITS).normalised).all()

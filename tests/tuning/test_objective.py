@@ -1,0 +1,111 @@
+"""The whole objective: gradients in both modes, diagonals, the way back from an unstable loop."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tuning import TuneSpec
+from tuning.objective import Data, Kind, Values, look, scene_over_seeds, soft_worst
+from tuning.optimise import looker, optimiser
+
+Job = Callable[..., dict[str, Any]]
+QUIET = {"sensor": {"lsb": [0.0, 0.0, 0.0]}, "reference": {"z": []}}
+STEP = 1e-3
+
+
+def central(values: np.ndarray) -> np.ndarray:
+    """Five-point derivative from values at −2, −1, 1 and 2 steps, along the last dimension."""
+    weights = np.array([1.0, -8.0, 8.0, -1.0]) / (12.0 * STEP)
+    return values @ weights
+
+
+def around(z: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Four points per direction, flattened to rows."""
+    points = z + np.array([-2.0, -1.0, 1.0, 2.0])[None, :, None] * STEP * directions[:, None, :]
+    return points.reshape(-1, len(z))
+
+
+def in_eights(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
+    """As many rows at a time as a tuning run has starts: the same program."""
+    return np.concatenate([function(part) for part in np.split(rows, len(rows) // 8)])
+
+
+@pytest.mark.parametrize("K2", [10.0, 60.0])
+def test_reverse_gradient_is_the_central_difference_for_every_parameter(small: Job, K2: float) -> None:
+    spec = TuneSpec.from_dict(small(experiment=QUIET, params={"K2": K2, "Q_x": 1e-3}))
+    see, space = looker(spec), spec.space
+    # Off the kinks of the soft mask, which whole horizons can stand on.
+    z = space.encode(spec.params) + 0.07
+    losses = in_eights(lambda rows: see(rows, 3.0).loss, around(z, np.eye(space.size)))
+    expected = central(losses.reshape(space.size, 4))
+    found = see(np.tile(z, (8, 1)), 3.0).gradient[0]
+    assert (np.abs(expected) > 1e-8).all()
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
+
+
+def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
+    goals = {
+        "M_s": 1.1,
+        "gain_margin_db": 60.0,
+        "gain_reduction_db": 60.0,
+        "phase_margin_deg": 80.0,
+        "delay_margin_s": 0.1,
+        "ideal": False,
+    }
+    spec = TuneSpec.from_dict(small(experiment=QUIET, goals=goals))
+    scene = scene_over_seeds(spec.experiment, (0,), 0.4, 0.1)
+    kind = Kind(spec.space.axes, ideal_goals=False, ideal_run=True, preview=False, precision="float64")
+    data = jax.tree.map(jnp.asarray, Data(scene, spec.params, dict(spec.goals)))
+    direction = np.random.default_rng(0).standard_normal(spec.space.size)
+    forward = jax.jit(lambda z: jax.jvp(lambda z: look(z, data, 3.0, kind)[0], (z,), (jnp.tile(direction, (4, 1)),)))
+    z = spec.space.encode(spec.params) + 0.07
+    expected = central(np.asarray(forward(jnp.asarray(around(z, direction[None])))[0]))
+    found = forward(jnp.tile(z, (4, 1)))[1]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_full_diagonals_have_a_gradient_per_entry(small: Job) -> None:
+    free = {"lam": True, "delta": True, "Khat_s": True}
+    tune = {"free": free, "diagonals": ["lam", "delta"], "duration": 0.4, "settle": 0.1}
+    spec = TuneSpec.from_dict(small(experiment={**QUIET, "stiffness": [810.0]}, tune=tune))
+    see, space = looker(spec), spec.space
+    z = space.encode(spec.params)
+    chosen = [0, 1, 4, 16, 20, 30, 40, 80]
+    losses = in_eights(lambda rows: see(rows, 1.0).loss, around(z, np.eye(space.size)[chosen]))
+    found = see(np.tile(z, (8, 1)), 1.0).gradient[0]
+    np.testing.assert_allclose(found[chosen], central(losses.reshape(-1, 4)), atol=1e-6 * np.abs(found).max(), rtol=0)
+    # λ acts up to H_u = 5 and δ up to H_p = 30: what lies beyond must be without effect, what lies inside not.
+    names = np.asarray(space.names)
+    dead = {name for name, slope in zip(names, found, strict=True) if slope == 0.0}
+    assert dead == {f"lam[{i}]" for i in range(6, 17)} | {f"delta[{i}]" for i in range(31, 65)}
+
+
+def test_an_unstable_start_is_led_to_stability(small: Job) -> None:
+    spec = TuneSpec.from_dict(small(params={"Khat_s": 200.0}))
+    see = looker(spec)
+    begin, update = optimiser()
+    z = np.tile(spec.space.encode(spec.params), (8, 1))
+    memory = begin(jnp.asarray(z))
+    values: Values = see(z, 1.0)
+    assert np.isposinf(values.M_s[0, -1])
+    assert np.isnan(values.worst[0])
+    assert np.isfinite(values.gradient).all()
+    assert np.abs(values.gradient[0]).max() > 0.0
+    for _ in range(40):
+        z, memory, usable = update(z, memory, values.gradient, 0.15)
+        assert np.asarray(usable).all()
+        values = see(np.asarray(z), 1.0)
+    assert np.isfinite(values.M_s).all()
+    assert np.isfinite(values.worst).all()
+
+
+def test_soft_worst_lies_just_under_the_worst() -> None:
+    cells = jnp.asarray([[1.0, 1.0, 1.0, 1.0], [0.2, 0.1, 1.0, 0.3]])
+    even, peaked = np.asarray(soft_worst(cells))
+    assert even == pytest.approx(1.0)
+    assert peaked == pytest.approx(4 ** (-1 / 24))
+    assert peaked < 1.0

@@ -1,0 +1,112 @@
+"""Specs: what is read, and what is refused with file, line, key and remedy."""
+
+from pathlib import Path
+
+import pytest
+
+from jaxmpc import Params
+from jaxmpc.errors import InputError
+from tuning import TuneSpec
+from tuning.transforms import FREE
+
+
+def spec_of(folder: Path, text: str) -> TuneSpec:
+    path = folder / "tune.toml"
+    path.write_text(text)
+    return TuneSpec.from_toml(path)
+
+
+def test_an_empty_file_is_the_default_job(tmp_path: Path) -> None:
+    spec = spec_of(tmp_path, "")
+    assert tuple(spec.free) == FREE
+    assert spec.goals == {"M_s": 2.0}
+    assert not spec.ideal
+    assert spec.experiment.stiffness == (375.0, 810.0, 1900.0)
+    assert not set(spec.tune.train_seeds) & set(spec.tune.heldout_seeds)
+
+
+def test_everything_can_be_said(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("[params]\nQ_p = 3.0\n")
+    spec = spec_of(
+        tmp_path,
+        """
+        [experiment]
+        published = "table-1"
+        stiffness = [500.0]
+        sensor = { noise = 0.02 }
+        [params]
+        file = "mine.toml"
+        K2 = 40.0
+        [tune]
+        steps = 7
+        diagonals = ["lam"]
+        [tune.free]
+        lam = true
+        K2 = [10.0, 50.0]
+        [goals]
+        M_s = 1.8
+        gain_margin_db = 6
+        ideal = true
+        """,
+    )
+    assert spec.experiment.stiffness == (500.0,)
+    assert spec.experiment.sensor.noise == 0.02
+    assert spec.experiment.sensor.lsb == (0.0061, 0.0061, 0.0122)
+    assert float(spec.params.Q_p) == 3.0
+    assert float(spec.params.K2) == 40.0
+    assert spec.space.size == 17
+    assert spec.to_dict()["tune"]["free"]["K2"] == [10.0, 50.0]
+    assert spec.to_dict()["goals"] == {"M_s": 1.8, "gain_margin_db": 6, "ideal": True}
+
+
+def test_the_hash_follows_every_number(tmp_path: Path) -> None:
+    one = spec_of(tmp_path, "[goals]\nM_s = 2.0").digest
+    assert one == spec_of(tmp_path, "").digest
+    assert one != spec_of(tmp_path, "[goals]\nM_s = 1.9").digest
+    assert one != spec_of(tmp_path, "[params]\nQ_p = 0.6").digest
+
+
+WRONG = {
+    "unknown goal": ("[goals]\nMs = 2.0", "goals.Ms", "'M_s'", 2),
+    "goal without a limit": ("[goals]\nM_s = true", "goals.M_s", "a number", 2),
+    "goal not finite": ("[goals]\nphase_margin_deg = inf", "goals.phase_margin_deg", "a number", 2),
+    "M_s below 1": ("[goals]\nM_s = 0.9", "goals.M_s", "above 1", 2),
+    "unknown parameter": ("[tune.free]\nQp = true", "tune.free.Qp", "'Q_p'", 2),
+    "bounds upside down": ("[tune.free]\nK2 = [50.0, 5.0]", "tune.free.K2", "[lowest, highest]", 2),
+    "three bounds": ("[tune.free]\nK2 = [1.0, 2.0, 3.0]", "tune.free.K2", "[lowest, highest]", 2),
+    "bound out of range": ("[tune.free]\nHp = [2, 65]", "tune.free.Hp", "in [1, 64]", 2),
+    "bound nan": ("[tune.free]\nK2 = [nan, 50.0]", "tune.free.K2", "in [0, 10000]", 2),
+    "half a sample": ("[tune.free]\nHp = [2.5, 40]", "tune.free.Hp", "whole", 2),
+    "start outside": ("[params]\nK2 = 5.0\n[tune.free]\nK2 = [10.0, 50.0]", "tune.free.K2", "start point", 4),
+    "nothing free": ("[tune.free]", "tune.free", "at least one", 1),
+    "no held-out seed": ("[tune]\nheldout_seeds = []", "tune.heldout_seeds", "at least one", 2),
+    "a seed on both sides": ("[tune]\ntrain_seeds = [1, 1000]", "tune.heldout_seeds", "unknown to", 1),
+    "a seed twice": ("[tune]\ntrain_seeds = [1, 1]", "tune.train_seeds", "repetition", 2),
+    "settle too long": ("[tune]\nsettle = 9.0", "tune.settle", "below duration", 2),
+    "unknown key": ("[tune]\nstep = 3", "tune.step", "'steps'", 2),
+    "no steps": ("[tune]\nsteps = 0", "tune.steps", ">= 1", 2),
+    "unknown table": ("[goal]\nM_s = 2.0", "goal", "'goals'", 1),
+    "unknown experiment key": ("[experiment]\nstiffnes = [1.0]", "experiment.stiffnes", "'stiffness'", 2),
+    "negative stiffness": ("[experiment]\nstiffness = [-1.0]", "experiment.stiffness", "> 0", 2),
+    "Hu above Hp": ("[params]\nHp = 3\nHu = 5", "Hu", "Hp", 3),
+    "two sources": ('[params]\npublished = "text"\nfile = "a.toml"', "params.file", "left out", 3),
+    "frozen diagonal": ('[tune]\ndiagonals = ["delta"]', "tune.diagonals", "free", 2),
+    "diagonal as one number": ("[params]\nlam = [0.1, 0.2]", "params.lam", "one number", 2),
+    "ideal in words": ('[goals]\nideal = "yes"', "goals.ideal", "true or false", 2),
+}
+
+
+@pytest.mark.parametrize(("text", "key", "says", "line"), WRONG.values(), ids=WRONG)
+def test_a_wrong_spec_is_refused(tmp_path: Path, text: str, key: str, says: str, line: int) -> None:
+    with pytest.raises(InputError) as caught:
+        spec_of(tmp_path, text)
+    assert caught.value.key.startswith(key)
+    assert says in str(caught.value)
+    assert caught.value.file == tmp_path / "tune.toml"
+    assert caught.value.line == line
+
+
+def test_python_meets_the_same_checks() -> None:
+    spec = TuneSpec.from_dict({})
+    with pytest.raises(InputError, match="one controller"):
+        TuneSpec(spec.experiment, Params.stack([spec.params, spec.params]))
