@@ -243,5 +243,6 @@ def check_values(values: Mapping[str, np.ndarray]) -> None:
         row = np.flatnonzero(np.ravel(values["Hu"] > values["Hp"]))[0]
         hu, hp = np.ravel(values["Hu"])[row], np.ravel(values["Hp"])[row]
         raise InputError("Hu", f"{hu:g}", f"in [1, Hp (= {hp:g})] samples", "Lower Hu or raise Hp.")
-    if not (np.sum(values["delta"]) > 0):
+    batch = values["Khat_s"].ndim
+    if not np.all(np.sum(values["delta"], axis=tuple(range(batch, values["delta"].ndim))) > 0.0):
         raise InputError("delta", 0.0, "positive somewhere", "Without weight on the force error nothing is controlled.")

@@ -6,6 +6,8 @@ if find_spec("jax"):
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    # As the command line does: one device compiles to other last bits than several.
+    jax.config.update("jax_num_cpu_devices", 2)
 
 if find_spec("hypothesis"):
     import hypothesis

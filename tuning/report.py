@@ -63,9 +63,10 @@ def history_figure(result: TuneResult, path: Path) -> None:
     looks, chosen = state.look, winner(result)
     values = space.values(state.path[:looks])
     shown = list(range(space.size)) if space.size <= 10 else [0]
-    rows = 1 + -(-len(shown) // 4)
-    with figure(path, rows, 4, size=(11.0, 2.3 * rows)) as axes:
-        panels = axes.ravel()
+    columns = 5 if space.size > 1 else 3
+    rows = -(-(2 + len(shown)) // columns)
+    with figure(path, rows, columns, size=(2.6 * columns, 2.4 * rows)) as axes:
+        panels = np.ravel(axes)
         _lines(panels[0], 1e3 * state.worst[:looks], chosen, "worst residual RMS [mN]")
         panels[0].plot(1e3 * state.incumbent[:looks], color=ACCENT, lw=1.2, label="best that holds its goals")
         panels[0].legend()
@@ -76,11 +77,11 @@ def history_figure(result: TuneResult, path: Path) -> None:
         if "M_s" in result.spec.goals:
             panels[1].axhline(result.spec.goals["M_s"], color=ACCENT, lw=1.0, ls="--", label="goal")
             panels[1].legend()
-        for panel, i in zip(panels[4:], shown, strict=False):
+        for panel, i in zip(panels[2:], shown, strict=False):
             name = space.names[i]
             _lines(panel, values[:, :, i], chosen, f"{name} [{BOUNDS[name.partition('[')[0]][2]}]")
             panel.set_yscale("linear" if name in ("Hp", "Hu") else "log")
-        for panel in (panels[2], panels[3], *panels[4 + len(shown) :]):
+        for panel in panels[2 + len(shown) :]:
             panel.set_visible(False)
 
 
@@ -106,7 +107,8 @@ def before_after_figure(result: TuneResult, path: Path) -> None:
             panel.set_xlabel("stiffness [N/m]")
             panel.set_title(f"{AXES[a]} axis")
         axes[0].set_ylabel(f"residual RMS [mN], {len(result.heldout[0])} unseen seeds")
-        axes[0].legend()
+        axes[0].set_ylim(top=1.25 * axes[0].get_ylim()[1])
+        axes[0].legend(loc="upper right", ncols=2)
 
 
 def winner(result: TuneResult) -> int:

@@ -84,9 +84,10 @@ class State:
         i = self.look
         self.worst[i], self.M_s[i], self.path[i] = values.worst, values.M_s, self.z
         if exact:
-            largest = np.max(values.normalised, axis=(1, 2))
+            # A start that left the finite numbers is as far from its goals as can be.
+            largest = np.nan_to_num(np.max(values.normalised, axis=(1, 2)), nan=np.inf, posinf=np.inf)
             residual = np.where(largest <= FEASIBLE, values.worst, np.inf)
-            winner, nearest = int(np.nanargmin(residual)), int(np.nanargmin(largest))
+            winner, nearest = int(np.argmin(residual)), int(np.argmin(largest))
             if residual[winner] < self.best:
                 if residual[winner] < self.best * (1.0 - worth):
                     self.gained = i
@@ -102,7 +103,7 @@ class State:
     def note(self) -> str:
         """One line for the progress display."""
         i = self.look - 1
-        leader = int(np.nanargmin(np.where(np.isnan(self.worst[i]), np.inf, self.worst[i])))
+        leader = int(np.argmin(np.nan_to_num(self.worst[i], nan=np.inf)))
         best = f"best {1e3 * self.best:.1f} mN" if np.isfinite(self.best) else "no feasible point yet"
         now = f"start {leader}: worst {1e3 * self.worst[i, leader]:.1f} mN, M_s {self.M_s[i, leader].max():.2f}"
         skips = f", {self.skipped.sum()} steps skipped" if self.skipped.any() else ""

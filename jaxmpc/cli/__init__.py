@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"jaxmpc {args.verb}: {error}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
-        if error.name not in ("jax", "equinox", "optax", "msgspec", "tomli_w", "rich", "matplotlib", "xarray"):
+        if error.name not in ("jax", "equinox", "optax", "msgspec", "tomli_w", "rich", "matplotlib"):
             raise
         print(f"jaxmpc {args.verb}: it needs {error.name}: install the workstation, jaxmpc[sim]", file=sys.stderr)
         return 2

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.cli.arguments import experiment_from, params_from
     from jaxmpc.cli.setup import use_all_cores
 
-    use_all_cores(1)
+    use_all_cores()
     given = {
         "M_s": args.max_ms,
         "gain_margin_db": args.min_gain_db,

@@ -24,7 +24,8 @@ def experiment_figure(path: Path, experiment: Experiment, outcome: "Outcome", st
         outcome: Its outcome, with trace.
         still: The same without heart motion, with trace.
     """
-    assert outcome.trace is not None and still.trace is not None
+    assert outcome.trace is not None
+    assert still.trace is not None
     row = len(experiment.stiffness) // 2
     t = np.arange(experiment.steps) * experiment.sampling_time
     # The paper's disturbance (Fig. 3a): how much more the tip moved, as force, and what was left of it.

@@ -6,13 +6,15 @@ import os
 def use_all_cores(cores: int | None = None) -> None:
     """Switch 64-bit JAX on and give every CPU core a device of its own; call before JAX computes anything.
 
-    A device count set by the user in XLA_FLAGS is respected.
+    There are two devices at least: a program for one device compiles to other last bits than one for
+    several, and results must not depend on the number of cores. A device count set by the user in
+    XLA_FLAGS is respected.
 
     Args:
-        cores: Number of devices; None is the number of cores this process may use.
+        cores: Number of devices wanted; None is the number of cores this process may use.
     """
     import jax
 
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
     if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
-        jax.config.update("jax_num_cpu_devices", cores or len(os.sched_getaffinity(0)))  # type: ignore[no-untyped-call]
+        jax.config.update("jax_num_cpu_devices", max(2, cores or len(os.sched_getaffinity(0))))  # type: ignore[no-untyped-call]

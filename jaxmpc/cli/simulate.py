@@ -19,7 +19,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.cli.setup import use_all_cores
     from jaxmpc.cli.tables import RESIDUAL_HEADER, residual_rows, show
 
-    use_all_cores(1)
+    use_all_cores()
     from jaxmpc import Status, evaluate
     from jaxmpc.cli.pictures import experiment_figure
 

@@ -1,7 +1,9 @@
 """Fixed-size blocks on every device of the host: a row's bits depend on nothing but the row.
 
 A plain `jit(vmap)` on a CPU changes the bits of a row with the batch size and with the number of cores.
-Blocks of one size, each a call of the same program, do not, and stay in the cache besides.
+Blocks of one size, each a call of the same program, do not, and stay in the cache besides. The one
+exception, measured: a process with a single device compiles to other last bits than one with several,
+which is why the command line always makes two at least.
 """
 
 from collections.abc import Callable

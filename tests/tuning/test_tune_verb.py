@@ -54,10 +54,9 @@ def test_a_tuned_controller_comes_with_its_proof(
     origin = tomllib.loads((out / "params.toml").read_text())["provenance"]
     assert origin["spec_sha256"] == spec.digest
     assert origin["heldout_seeds"] == [1000, 1001]
-    expected = margins(params, spec.experiment.stiffness, ideal=False).M_s
-    np.testing.assert_allclose(origin["M_s_as_run"], expected, rtol=1e-9)
-    rms = [evaluate(params, spec.experiment.with_seed(seed)).metrics.rms for seed in (1000, 1001)]
-    assert origin["heldout_worst_rms_after"] == pytest.approx(np.max(rms), rel=1e-9)
+    rms, found = compare(Params.stack([spec.params, params]), spec.experiment, (1000, 1001))
+    assert origin["heldout_worst_rms_after"] == pytest.approx(rms[1].max(), rel=1e-12)
+    np.testing.assert_allclose(origin["M_s_ideal"], found["ideal"].M_s[1], rtol=1e-12)
     header, arrays = unseal((out / "history.npz").read_bytes())
     assert arrays["values"].shape == (11, 8, len(header["names"]))
 
