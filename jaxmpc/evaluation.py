@@ -15,7 +15,7 @@ from jaxmpc.engine.rollout import AxisSignals, Sample, record, run, scalars
 from jaxmpc.errors import InputError, nearest
 from jaxmpc.experiment import Experiment
 from jaxmpc.law.cascade import Gains
-from jaxmpc.metrics import Metrics, metrics
+from jaxmpc.metrics import Metrics
 from jaxmpc.params import Params
 from jaxmpc.precision import in_float64
 from jaxmpc.stability import Margins, margins_one
@@ -105,7 +105,7 @@ def evaluate_block(
     gains, contacts, found = jax.vmap(lambda p: design_and_margins(p, scene, ideal))(params)
     gains = jax.vmap(lambda g: scalars(g, preview))(gains)
     cells = as_dtype((gains, contacts, scene.lsb, scene.signals), dtype)
-    measured = metrics(over_cells(run, *cells))
+    measured = over_cells(run, *cells)
     finite = jnp.all((measured.peak_force < HIGHEST_FORCE) & jnp.isfinite(measured.rms), axis=-1)
     status = jnp.where((found.status == Status.OK) & ~finite, Status.DIVERGED, found.status)
     usable = (status == Status.OK)[..., None]

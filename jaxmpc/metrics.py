@@ -11,7 +11,6 @@ Lane = Float[Array, "..."]
 class Totals(NamedTuple):
     """Sums and extremes over the samples that count."""
 
-    samples: Lane
     error_squared: Lane
     highest_error: Lane
     lowest_error: Lane
@@ -39,7 +38,7 @@ class Metrics(NamedTuple):
 def nothing(like: Lane) -> Totals:
     """Totals before the first sample."""
     zero = 0.0 * like
-    return Totals(zero, zero, zero - jnp.inf, zero + jnp.inf, zero, zero, zero)
+    return Totals(zero, zero - jnp.inf, zero + jnp.inf, zero, zero, zero)
 
 
 def add(totals: Totals, counts: Bool[Array, "..."], error: Lane, a: Lane, change: Lane, force: Lane) -> Totals:
@@ -55,7 +54,6 @@ def add(totals: Totals, counts: Bool[Array, "..."], error: Lane, a: Lane, change
     """
     weight = counts.astype(error.dtype)
     return Totals(
-        totals.samples + weight,
         totals.error_squared + weight * error * error,
         jnp.where(counts, jnp.maximum(totals.highest_error, error), totals.highest_error),
         jnp.where(counts, jnp.minimum(totals.lowest_error, error), totals.lowest_error),
@@ -68,7 +66,6 @@ def add(totals: Totals, counts: Bool[Array, "..."], error: Lane, a: Lane, change
 def merge(first: Totals, second: Totals) -> Totals:
     """Totals of two stretches of time; summing stretch by stretch keeps float32 sums exact to 1e-6."""
     return Totals(
-        first.samples + second.samples,
         first.error_squared + second.error_squared,
         jnp.maximum(first.highest_error, second.highest_error),
         jnp.minimum(first.lowest_error, second.lowest_error),
@@ -78,11 +75,16 @@ def merge(first: Totals, second: Totals) -> Totals:
     )
 
 
-def metrics(totals: Totals) -> Metrics:
-    """Metrics of a finished run."""
+def metrics(totals: Totals, samples: Lane) -> Metrics:
+    """Metrics of a finished run.
+
+    Args:
+        totals: Over the run.
+        samples: How many samples counted; broadcasts against the totals.
+    """
 
     def root_mean(sum_of_squares: Lane) -> Lane:
-        mean = sum_of_squares / totals.samples
+        mean = sum_of_squares / samples
         # The slope of a root at 0 is infinite; a run without any residual has none to tune.
         return jnp.where(mean > 0.0, jnp.sqrt(jnp.where(mean > 0.0, mean, 1.0)), mean)
 

@@ -12,7 +12,6 @@ from jaxmpc.engine.cells import over_cells
 from jaxmpc.engine.rollout import run, scalars
 from jaxmpc.evaluation import Scene
 from jaxmpc.experiment import Experiment
-from jaxmpc.metrics import metrics
 from jaxmpc.params import Params
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
@@ -61,4 +60,4 @@ def _compare(batch: Params, scene: Scene, ideal_run: bool, preview: bool) -> tup
         return scalars(gains, preview), *jax.vmap(on_tissue)(scene.stiffness)
 
     gains, contacts, found = jax.vmap(one)(batch)
-    return metrics(over_cells(run, gains, contacts, scene.lsb, scene.signals)).rms, found
+    return over_cells(run, gains, contacts, scene.lsb, scene.signals).rms, found

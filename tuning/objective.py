@@ -14,7 +14,6 @@ from jaxmpc.engine.rollout import AxisSignals, run, scalars
 from jaxmpc.evaluation import Scene, as_dtype, scene_of
 from jaxmpc.experiment import Experiment
 from jaxmpc.law.cascade import Gains
-from jaxmpc.metrics import metrics
 from jaxmpc.params import Params
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
@@ -122,7 +121,7 @@ def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> 
     # An unstable loop would run away and make even the unused slope NaN: it stands still instead.
     gains = jax.tree.map(lambda gain: jnp.where(stable, gain, 0.0), gains)
     cells = as_dtype((gains, contacts, scene.lsb, scene.signals), kind.precision)
-    residuals = metrics(over_cells(run, *cells)).rms.astype(jnp.float64)
+    residuals = over_cells(run, *cells).rms.astype(jnp.float64)
     loss = jnp.where(stable, jnp.log(soft_worst(residuals)), 0.0) + PENALTY * goals.violation
     worst = jnp.where(stable, jnp.max(residuals, axis=(1, 2)), jnp.nan)
     return loss, (worst, found.M_s, goals.normalised)

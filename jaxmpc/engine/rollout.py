@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
-from jaxmpc.metrics import Totals, add, merge, nothing
+from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, nothing
 from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact
 
@@ -51,7 +51,6 @@ class Carry(NamedTuple):
 
     controller: cascade.ControllerState
     contact: world.ContactState
-    a: Scalar
 
 
 @jax.custom_jvp
@@ -75,7 +74,7 @@ def scalars(gains: Gains, preview: bool) -> Gains:
 def start(gains: Gains) -> Carry:
     """The loop at rest: the tip touches without force."""
     zero = jnp.zeros_like(gains.mpc_u)
-    return Carry(cascade.init(zero), world.init(zero), zero)
+    return Carry(cascade.init(zero), world.init(zero))
 
 
 def advance(gains: Gains, contact: Contact, lsb: Scalar, carry: Carry, signals: AxisSignals) -> tuple[Carry, Sample]:
@@ -96,10 +95,10 @@ def advance(gains: Gains, contact: Contact, lsb: Scalar, carry: Carry, signals: 
     tip = state.x
     state, a = world.move(contact, state, v)
     sample = Sample(force, signals.force_ref, controller.u, v, a, controller.p_hat, tip)
-    return Carry(controller, state, a), sample
+    return Carry(controller, state), sample
 
 
-def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> Totals:
+def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> Metrics:
     """Metrics of one axis over a whole experiment.
 
     Time runs in stretches: each is one checkpoint of the reverse mode and one partial sum, so that
@@ -115,20 +114,20 @@ def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> To
     def one(state: tuple[Carry, Totals], now: AxisSignals) -> tuple[tuple[Carry, Totals], None]:
         carry, totals = state
         following, sample = advance(gains, contact, lsb, carry, now)
-        error = sample.force - now.force_ref[0]
-        totals = add(totals, now.score, error, sample.a, sample.a - carry.a, sample.force)
+        error, before = sample.force - now.force_ref[0], carry.contact.pending[0]
+        totals = add(totals, now.score, error, sample.a, sample.a - before, sample.force)
         return (following, totals), None
 
     @jax.checkpoint
     def stretch(state: tuple[Carry, Totals], part: AxisSignals) -> tuple[tuple[Carry, Totals], None]:
         carry, totals = state
-        (carry, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, nothing(carry.a)), part)
+        (carry, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, empty), part)
         return (carry, merge(totals, partial)), None
 
-    carry = start(gains)
+    empty = nothing(jnp.zeros_like(gains.mpc_u))
     parts = AxisSignals(*map(stretches, signals))
-    (_, totals), _ = jax.lax.scan(stretch, (carry, nothing(carry.a)), parts)
-    return totals
+    (_, totals), _ = jax.lax.scan(stretch, (start(gains), empty), parts)
+    return metrics(totals, jnp.sum(signals.score))
 
 
 def record(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> Sample:

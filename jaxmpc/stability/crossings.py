@@ -19,8 +19,8 @@ Scalar = Float[Array, ""]
 Loop = Callable[..., Complex[Array, "..."]]
 """L(θ [rad], added delay [samples]) of the negative feedback 1 + L, elementwise in the angle θ = ω T_s."""
 
-POINTS = 400
-"""Angles searched, 2.3 % apart up to the Nyquist frequency, then refined to the last bit."""
+POINTS = 300
+"""Angles searched, 3.1 % apart up to the Nyquist frequency, then refined to the last bit."""
 LOWEST = 2.0 * pi * 5e-5
 """Lowest angle searched [rad]: 0.05 Hz at 1 kHz."""
 CHORD_STEPS = 12

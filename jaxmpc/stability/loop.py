@@ -17,6 +17,8 @@ Scalar = Float[Array, ""]
 
 DOUBLINGS = 44
 """Squarings in `spectral_radius`: a Jordan block of size 3 at ρ then costs 4e-12 of accuracy."""
+PARALLEL = 1e-12
+"""Squared sine between x and Ax below which the dominant eigenvalue counts as real."""
 VELOCITY_CUTOFF = 180.0
 """Default velocity low-pass of the WAM [rad/s] (libbarrett, `wam4.conf`)."""
 SENSOR_CUTOFF_HZ = 500.0
@@ -88,12 +90,17 @@ def closed_loop_matrix(gains: Gains, contact: Contact) -> Float[Array, "n n"]:
 
 @jax.custom_jvp
 def spectral_radius(A: Float[Array, "n n"]) -> Scalar:
-    """Largest magnitude of an eigenvalue [-]; the derivative is that of the dominant one alone.
+    """Largest magnitude of an eigenvalue [-].
 
-    ‖A^N‖^(1/N) with N = 2^44 by repeated squaring: batched products alone, which every device has and
-    which, unlike LAPACK calls from several CPU devices at once, never wait for each other. A loop with
-    delays is defective at 0, where derivatives of all eigenvalues at once are NaN.
+    ‖A^N‖^(1/N) with N = 2^44 by repeated squaring: array products alone, which batch and run anywhere. The
+    derivative is that of the dominant eigenvalues alone: a loop with delays is defective at 0, where
+    derivatives of all eigenvalues at once are NaN.
     """
+    return _dominant(A)[0]
+
+
+def _dominant(A: Float[Array, "n n"]) -> tuple[Scalar, Float[Array, "n n"]]:
+    """Spectral radius, and a high power of A, which maps everything into the dominant eigenspace."""
 
     def square(_: Any, state: tuple[Array, Array]) -> tuple[Array, Array]:
         power, log_size = state
@@ -102,18 +109,27 @@ def spectral_radius(A: Float[Array, "n n"]) -> Scalar:
         return power / size, 2.0 * log_size + jnp.log(size)
 
     size = jnp.max(jnp.abs(A))
-    _, log_size = jax.lax.fori_loop(0, DOUBLINGS, square, (A / size, jnp.log(size)))
-    return jnp.exp(log_size / 2.0**DOUBLINGS)
+    power, log_size = jax.lax.fori_loop(0, DOUBLINGS, square, (A / size, jnp.log(size)))
+    return jnp.exp(log_size / 2.0**DOUBLINGS), power
 
 
 @spectral_radius.defjvp
 def _spectral_radius_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    r"""d|λ| = Re(λ̄/|λ| · wᵀ dA r / wᵀ r) with right and left eigenvectors r, w of λ."""
+    r"""dρ/ρ = tr((YᵀAX)⁻¹ Yᵀ dA X)/k for bases X, Y of the dominant right and left eigenspaces.
+
+    k = 1 for a real eigenvalue, where X = x; k = 2 for a complex pair, where X = [x, Ax], Y = [y, Aᵀy].
+    """
     (A,), (dA,) = primals, tangents
-    values, right = jnp.linalg.eig(A)
-    dominant = jnp.argmax(jnp.abs(values))
-    value, r = values[dominant], right[:, dominant]
-    left_values, left = jnp.linalg.eig(A.T)
-    w = left[:, jnp.argmin(jnp.abs(left_values - value))]
-    weights = jnp.outer(w, r) / (w @ r) * jnp.conj(value) / jnp.abs(value)
-    return jnp.abs(value), jnp.sum(jnp.real(weights) * dA)
+    radius, power = _dominant(A)
+    some = jnp.cos(1.0 + jnp.arange(len(A)))
+    x, y = power @ some, power.T @ some[::-1]
+    x, y = x / jnp.max(jnp.abs(x)), y / jnp.max(jnp.abs(y))
+    X, Y = jnp.stack([x, A @ x], 1), jnp.stack([y, A.T @ y], 1)
+    (a, b), (c, d) = Y.T @ A @ X
+    aligned = (x @ X[:, 1]) ** 2 / ((x @ x) * (X[:, 1] @ X[:, 1]))
+    single = 1.0 - aligned < PARALLEL
+    determinant = jnp.where(single, 1.0, a * d - b * c)
+    inverse = jnp.stack([jnp.stack([d, -b]), jnp.stack([-c, a])]) / determinant
+    pair = 0.5 * Y @ inverse.T @ X.T
+    weights = jnp.where(single, jnp.outer(y, x) / a, pair)
+    return radius, radius * jnp.sum(weights * dA)

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxmpc.synthesis.linear import solve
+
 Matrix = Float[Array, "n n"]
 Vector = Float[Array, "n"]
 Scalar = Float[Array, ""]
@@ -37,7 +39,7 @@ def dare(Phi: Matrix, c: Vector, Q: Matrix, r: Scalar) -> Matrix:
     def double(carry: tuple[Matrix, Matrix, Matrix], _: None) -> tuple[tuple[Matrix, Matrix, Matrix], None]:
         A, G, H = carry
         W = jnp.eye(len(A)) + G @ H
-        solved = jnp.linalg.solve(W, jnp.concatenate([A, G], axis=1))
+        solved = solve(W, jnp.concatenate([A, G], axis=1))
         WA, WG = solved[:, : len(A)], solved[:, len(A) :]
         G_next = G + A @ WG @ A.T
         H_next = H + A.T @ H @ WA
@@ -58,7 +60,7 @@ def _dare_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Matr
     half = (dPhi - jnp.outer(Phi @ K, dc)) @ P @ Phi_c.T
     W = half + half.T + dQ + dr * jnp.outer(Phi @ K, Phi @ K)
     n = len(P)
-    dP = jnp.linalg.solve(jnp.eye(n * n) - jnp.kron(Phi_c, Phi_c), W.reshape(-1)).reshape(n, n)
+    dP = solve(jnp.eye(n * n) - jnp.kron(Phi_c, Phi_c), W.reshape(-1, 1)).reshape(n, n)
     return P, dP
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmpc.params import HP_MAX, HU_MAX
+from jaxmpc.synthesis.linear import solve
 
 Scalar = Float[Array, ""]
 
@@ -65,7 +66,6 @@ def first_move(
     weighted = (delta * horizon_mask(Hp, HP_MAX, mask_width))[:, None] * Theta
 
     hessian = Theta.T @ weighted + jnp.diag(lam)
-    first_column = jnp.zeros(HU_MAX).at[0].set(1.0)
-    first_row = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(hessian), first_column)
+    first_row = solve(hessian, jnp.zeros((HU_MAX, 1)).at[0].set(1.0))[:, 0]
     mpc_ref = weighted @ first_row
     return mpc_ref, mpc_ref @ Psi, mpc_ref @ step_response
