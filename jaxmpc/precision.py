@@ -21,7 +21,7 @@ def in_float64(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
-        caller_has_float64 = bool(jax.config.read("jax_enable_x64"))  # type: ignore[no-untyped-call]
+        caller_has_float64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
         with jax.enable_x64(True):
             result = function(*args, **kwargs)
         # A 32-bit caller's JAX would round 64-bit arrays at their next use; numpy keeps them.

@@ -1,6 +1,6 @@
 """What is swept, from a TOML file: experiment, base controller, axes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -8,6 +8,7 @@ import msgspec
 
 from jaxmpc.errors import InputError, nearest
 from jaxmpc.experiment import Experiment, Seed
+from jaxmpc.job import experiment_table, params_table
 from jaxmpc.params import BOUNDS, Params
 from jaxmpc.spec import convert, known_keys, located, read_toml
 from sweeps.space import MOST_ROWS, Axis, Scale, Space, make_axis, make_space
@@ -87,45 +88,11 @@ class SweepSpec:
                 raise InputError(key, value, "a table", f"Put its keys under [{key}].")
         if "sweep" not in data:
             raise InputError("sweep", "missing", "a table", 'Add [sweep] with kind = "grid" and [sweep.axes].')
-        experiment = _experiment(data.get("experiment", {}), folder)
-        params = _params(data.get("params", {}), folder)
+        experiment = experiment_table(data.get("experiment", {}), folder)
+        params = params_table(data.get("params", {}), folder)
         known_keys(SweepTable, data["sweep"], "sweep")
         table = convert(data["sweep"], SweepTable, "sweep")
         return SweepSpec(experiment, params, _space(table, params), table.precision, name)
-
-
-def _source(table: dict[str, Any], root: str) -> tuple[str | None, str | None, dict[str, Any]]:
-    """The published name or the file that a table starts from, and what it overrides."""
-    rest = {key: value for key, value in table.items() if key not in ("published", "file")}
-    published, file = table.get("published"), table.get("file")
-    for key, value in (("published", published), ("file", file)):
-        if value is not None and not isinstance(value, str):
-            raise InputError(f"{root}.{key}", value, "text", "Put it in quotes.")
-    if published is not None and file is not None:
-        raise InputError(f"{root}.file", file, f"given without {root}.published", "Remove one of the two.")
-    return published, file, rest
-
-
-def _experiment(table: dict[str, Any], folder: Path) -> Experiment:
-    published, file, changes = _source(table, "experiment")
-    base = Experiment.from_toml(folder / file) if file else Experiment.published(published or "table-1")
-    data = base.to_dict()
-    if data["motion"]["file"]:
-        # So that a path relative to the experiment's folder is not taken for one relative to the spec's.
-        data["motion"]["file"] = str(Path(data["motion"]["file"]).absolute())
-    for key, value in changes.items():
-        merge = isinstance(value, dict) and isinstance(data.get(key), dict)
-        data[key] = {**data[key], **value} if merge else value
-    return Experiment.from_dict(data, folder, "experiment")
-
-
-def _params(table: dict[str, Any], folder: Path) -> Params:
-    published, file, changes = _source(table, "params")
-    base = Params.from_toml(folder / file) if file else Params.published(published or "text")
-    try:
-        return Params.from_dict({**base.to_dict(), **changes})
-    except InputError as error:
-        raise replace(error, key=f"params.{error.key}") from None
 
 
 def _space(table: SweepTable, params: Params) -> Space:

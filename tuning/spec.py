@@ -10,6 +10,7 @@ import msgspec
 
 from jaxmpc.errors import InputError, nearest
 from jaxmpc.experiment import Experiment, Seed
+from jaxmpc.job import experiment_table, params_table
 from jaxmpc.params import BOUNDS, DIAGONALS, Params
 from jaxmpc.sealed import digest
 from jaxmpc.spec import convert, known_keys, located, read_toml
@@ -139,43 +140,13 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         if not isinstance(ideal, bool):
             raise InputError("goals.ideal", ideal, "true or false", "True judges the paper's ideal damping.")
         return TuneSpec(
-            experiment=_experiment(data.get("experiment", {}), folder),
-            params=_params(data.get("params", {}), folder),
+            experiment=experiment_table(data.get("experiment", {}), folder),
+            params=params_table(data.get("params", {}), folder),
             tune=convert(tune, Settings, "tune"),
             free=free,
             goals=goals or {"M_s": 2.0},
             ideal=ideal,
         )
-
-
-def _source(table: Mapping[str, Any], key: str, default: str) -> tuple[str | None, str | None, dict[str, Any]]:
-    """The published name or the file that a table starts from, and what it overrides."""
-    rest = dict(table)
-    name, file = rest.pop("published", None), rest.pop("file", None)
-    for option, value in (("published", name), ("file", file)):
-        if value is not None and not isinstance(value, str):
-            raise InputError(f"{key}.{option}", value, "text", "Put it in quotation marks.")
-    if name and file:
-        raise InputError(f"{key}.file", file, "left out beside `published`", "Start from one of the two.")
-    return (None if file else name or default), file, rest
-
-
-def _experiment(table: Mapping[str, Any], folder: Path) -> Experiment:
-    name, file, overrides = _source(table, "experiment", "table-1")
-    base = Experiment.published(name) if name else Experiment.from_toml(folder / str(file))
-    if not overrides:
-        return base
-    merged = base.to_dict()
-    for key, value in overrides.items():
-        nested = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = {**merged[key], **value} if nested else value
-    return Experiment.from_dict(merged, folder, "experiment")
-
-
-def _params(table: Mapping[str, Any], folder: Path) -> Params:
-    name, file, overrides = _source(table, "params", "text")
-    base = Params.published(name) if name else Params.from_toml(folder / str(file))
-    return Params.from_dict({**base.to_dict(), **overrides})
 
 
 def _free(table: Any) -> dict[str, Bounds | None]:

@@ -71,9 +71,9 @@ def freeze_controller(
     import numpy as np
 
     from deploy.freeze import freeze
-    from jaxmpc import __version__, design, evaluate, margins
-    from jaxmpc.engine.golden import law_trace
+    from jaxmpc import __version__, design, margins
     from jaxmpc.errors import InputError
+    from jaxmpc.golden import law_trace, simulated_run
     from jaxmpc.sealed import digest
 
     between = np.geomspace(min(experiment.stiffness), max(experiment.stiffness), STIFFNESSES)
@@ -88,14 +88,8 @@ def freeze_controller(
         rows.append({"stiffness": K_s, "delay": experiment.delay, "ideal": ideal, **row})
 
     preview = experiment.reference.preview
-    trace = evaluate(params, experiment, trace=True).trace
-    assert trace is not None
     first = min(round(GOLDEN_FROM / experiment.sampling_time), max(experiment.steps - GOLDEN_SAMPLES, 0))
-    window = slice(first, first + GOLDEN_SAMPLES)
-    middle = len(experiment.stiffness) // 2
-    force = np.asarray(trace.force)[middle, :, window].T
-    wanted = np.moveaxis(np.asarray(trace.force_ref)[middle, :, window], 0, 1)
-    wanted = wanted if preview else wanted[:, :, 0]
+    force, wanted = (signal[first : first + GOLDEN_SAMPLES] for signal in simulated_run(params, experiment))
     gains = design(params, experiment.timing)
     v = law_trace(gains, force, wanted, preview)
     provenance = {

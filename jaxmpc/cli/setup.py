@@ -16,5 +16,9 @@ def use_all_cores(cores: int | None = None) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
-    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
-        jax.config.update("jax_num_cpu_devices", max(2, cores or len(os.sched_getaffinity(0))))  # type: ignore[no-untyped-call]
+    wanted = max(2, cores or len(os.sched_getaffinity(0)))
+    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
+        return
+    # Setting the same number again would be refused once JAX has computed something.
+    if jax.config.jax_num_cpu_devices != wanted:  # type: ignore[attr-defined]
+        jax.config.update("jax_num_cpu_devices", wanted)  # type: ignore[no-untyped-call]
