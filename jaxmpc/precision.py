@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 P = ParamSpec("P")
@@ -21,7 +22,7 @@ def in_float64(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
-        caller_has_float64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
+        caller_has_float64 = jnp.result_type(float) == jnp.float64
         with jax.enable_x64(True):
             result = function(*args, **kwargs)
         # A 32-bit caller's JAX would round 64-bit arrays at their next use; numpy keeps them.

@@ -1,6 +1,7 @@
 """What an entry point may do to the process, and a library may not: 64-bit JAX, one device per core."""
 
 import os
+from typing import Any
 
 
 def use_all_cores(cores: int | None = None) -> None:
@@ -15,10 +16,11 @@ def use_all_cores(cores: int | None = None) -> None:
     """
     import jax
 
-    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
+    config: Any = jax.config
+    config.update("jax_enable_x64", True)
     wanted = max(2, cores or len(os.sched_getaffinity(0)))
     if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return
     # Setting the same number again would be refused once JAX has computed something.
-    if jax.config.jax_num_cpu_devices != wanted:  # type: ignore[attr-defined]
-        jax.config.update("jax_num_cpu_devices", wanted)  # type: ignore[no-untyped-call]
+    if config.jax_num_cpu_devices != wanted:
+        config.update("jax_num_cpu_devices", wanted)

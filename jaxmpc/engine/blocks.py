@@ -31,7 +31,8 @@ def over_blocks(function: Callable[..., Any], block: int = BLOCK) -> Callable[..
     """
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("device",))
-    split, whole = PartitionSpec("device"), PartitionSpec()  # type: ignore[no-untyped-call]
+    spec: Any = PartitionSpec
+    split, whole = spec("device"), spec()
 
     def on_device(blocks: Any, shared: Any) -> Any:
         return jax.lax.map(lambda one: function(one, shared), blocks)
