@@ -33,7 +33,7 @@ class Operand:
 
     __slots__ = ("arguments", "form", "name", "tape")
     __array_ufunc__ = None  # so that a numpy number on the left leaves the operation to this class
-    __hash__ = None  # type: ignore[assignment]
+    __hash__ = None  # type: ignore[assignment]  # never a key: == has no answer yet
 
     def __init__(self, tape: "Tape", name: str, form: str = "", arguments: tuple[Any, ...] = ()) -> None:
         self.tape, self.name, self.form, self.arguments = tape, name, form, arguments

@@ -66,7 +66,7 @@ class Runtime:
         """
         self._states, v = self._law(self._states, self._applied, _plain(force), _plain(force_ref))
         self._applied = v
-        return v  # type: ignore[no-any-return]
+        return v  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     def applied(self, v: Sequence[float] | np.ndarray) -> None:
         """Tell the observer what was really applied (3,) [m/s²] since the last `step`, where it was clamped."""

@@ -1,7 +1,7 @@
 """Frequency response of the loop, in closed form.
 
 The law's equations are triangular in the z-domain, so its transfer function needs no matrix at all. A
-test holds these formulas against the matrices that the running law itself gives.
+test holds these formulas against an independent state-space model of the whole loop, as others hold the law.
 """
 
 from typing import Any

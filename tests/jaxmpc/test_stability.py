@@ -104,7 +104,7 @@ def test_margins_are_those_of_python_control(params: Params, K_s: float, delay: 
 
 
 @pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES[:6])
-def test_closed_form_response_is_that_of_the_running_law(
+def test_closed_form_response_is_that_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
 ) -> None:
     """1/(1 + L) is also the response of the running loop, from noise added before the cut to behind it.
