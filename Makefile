@@ -41,8 +41,9 @@ robot-test: $(ROBOT)  ## the robot's tests, where only numpy, python-can and pyt
 	@$(ROBOT_VENV)/bin/python -m pytest tests/deploy \
 		-o addopts="--import-mode=importlib --strict-markers" -m "not slow and not hardware"
 
-bench: $(DEV)  ## sweep throughput beside its peers
+bench: $(DEV)  ## throughput of the linear loop and of the arm beside their peers
 	@$(VENV)/bin/python -m benchmarks.sweep_throughput
+	@$(VENV)/bin/python -m benchmarks.arm_throughput
 
 COMPILE = $(UV) pip compile pyproject.toml --python-version 3.11 --universal \
 	--generate-hashes --no-header --no-annotate --quiet $(UV_FLAGS)

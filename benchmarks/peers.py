@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import scipy.signal
 
-from jaxmpc.evaluation import Scene
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
+from jaxmpc.scene import Scene
 from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact
 

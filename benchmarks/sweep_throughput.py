@@ -50,10 +50,11 @@ def main() -> None:
     from jaxmpc import Experiment, Params, evaluate
     from jaxmpc.engine.blocks import over_blocks
     from jaxmpc.engine.rollout import scalars
-    from jaxmpc.evaluation import design_and_margins, evaluate_block, scene_of
+    from jaxmpc.evaluation import design_and_margins, evaluate_block
+    from jaxmpc.scene import scene_of, world_of
 
     experiment = Experiment.published("table-1")
-    scene = scene_of(experiment)
+    scene, world = scene_of(experiment), world_of(experiment)
     cells = 3 * len(experiment.stiffness)
     batch = Params().with_columns({"Q_p": np.geomspace(0.1, 1.0, rows), "Khat_s": np.linspace(800.0, 1000.0, rows)})
 
@@ -74,13 +75,13 @@ def main() -> None:
         f"same results in float64: numpy loop, all metrics, to {off:.0e}; dlsim, without quantiser, to {abs(lone):.0e}"
     )
 
-    engine = over_blocks(lambda p, s: evaluate_block(p, s, ideal=True, preview=False, dtype="float32"))
+    engine = over_blocks(lambda p, s: evaluate_block(p, s, world=world, dtype="float32"))
     began = time.perf_counter()
     engine(batch, scene)
     compiled = time.perf_counter() - began
     ours = rows * cells * experiment.steps / fastest(lambda: engine(batch, scene))
     line(f"sweep engine: design, margins, float32 loop ({compiled:.0f} s first)", ours)
-    loop_only = over_blocks(lambda p, s: evaluate_block(p, s, ideal=True, preview=False, dtype="float32").metrics)
+    loop_only = over_blocks(lambda p, s: evaluate_block(p, s, world=world, dtype="float32").metrics)
     loop_only(batch, scene)
     bare = rows * cells * experiment.steps / fastest(lambda: loop_only(batch, scene))
     line("  its loop alone (what the peers do)", bare)

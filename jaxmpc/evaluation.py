@@ -7,28 +7,25 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
-from jaxmpc.engine.cells import over_cells
-from jaxmpc.engine.rollout import AxisSignals, Sample, record, run, scalars
+from jaxmpc.engine.arm_rollout import ArmSample
+from jaxmpc.engine.once import JitOnce
+from jaxmpc.engine.rollout import Sample, scalars
 from jaxmpc.errors import InputError, nearest
-from jaxmpc.experiment import Experiment
+from jaxmpc.experiment import Experiment, Physics
 from jaxmpc.law.cascade import Gains
 from jaxmpc.metrics import Metrics
 from jaxmpc.params import Params
 from jaxmpc.precision import in_float64
+from jaxmpc.scene import Scene, World, run_cells, scene_of, with_physics, world_of
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.status import Status
 from jaxmpc.synthesis import design_one
-from jaxmpc.world.contact import Contact, hertz
+from jaxmpc.world.contact import Contact
 
-Physics = Literal["linear"]
 Precision = Literal["float64", "float32"]
-
-HIGHEST_FORCE = 1e3
-"""A run whose force leaves this is DIVERGED [N]."""
 
 
 class Outcome(NamedTuple):
@@ -39,40 +36,12 @@ class Outcome(NamedTuple):
     margins: Margins
     """Margins of the loop as the experiment runs it, shape (…, stiffness)."""
     status: Int[Array, "..."]
-    """A `Status` per stiffness: that of the margins, or DIVERGED where a stable loop still ran away."""
-    trace: Sample | None
+    """A `Status` per stiffness: that of the margins; DIVERGED where a stable loop still ran away; LOST_CONTACT,
+    with metrics, where the tip left a tissue that does not hold it."""
+    when: Float[Array, "..."]
+    """When it diverged (on the linear loop to 125 samples) or lost contact [s]; NaN where it did neither."""
+    trace: Sample | ArmSample | None
     """Every sample, shape (…, stiffness, 3, steps), if asked for."""
-
-
-class Scene(NamedTuple):
-    """An experiment as arrays for the compiled program: all of it is data, none of it structure."""
-
-    stiffness: Any
-    signals: AxisSignals
-    lsb: Any
-    T_s: Any
-    delay: Any
-    velocity_cutoff: Any
-    sensor_cutoff: Any
-
-
-def scene_of(experiment: Experiment) -> Scene:
-    """The arrays of an experiment, axes first in its signals."""
-    heart, noise, wanted, score = (np.moveaxis(signal, 1, 0) for signal in experiment.signals)
-    if experiment.reference.preview:
-        ahead = np.lib.stride_tricks.sliding_window_view(wanted, wanted.shape[1] - experiment.steps + 1, axis=1)
-        wanted = ahead[:, :, 1:]
-    else:
-        wanted = wanted[:, :, None]
-    return Scene(
-        np.asarray(experiment.stiffness),
-        AxisSignals(*map(jnp.asarray, (heart, noise, wanted, score))),
-        np.asarray(experiment.sensor.lsb),
-        experiment.sampling_time,
-        float(experiment.delay),
-        experiment.velocity_lowpass,
-        hertz(experiment.sensor.lowpass_hz),
-    )
 
 
 def design_and_margins(
@@ -89,41 +58,30 @@ def design_and_margins(
     return gains, contacts, found
 
 
-def evaluate_block(
-    params: Params, scene: Scene, *, ideal: bool, preview: bool, dtype: Any, traced: bool = False
-) -> Outcome:
+def evaluate_block(params: Params, scene: Scene, *, world: World, dtype: Any, traced: bool = False) -> Outcome:
     """A flat batch of controllers on every stiffness and axis, in one go; traceable.
 
     Args:
         params: The controllers, one leading dimension.
-        scene: The experiment (`scene_of`).
-        ideal: Whether its damping is ideal.
-        preview: Whether its reference is known along H_p.
+        scene: Data of the experiment (`scene_of`).
+        world: Its structure (`world_of`).
         dtype: Precision of the time stepping.
         traced: Keep every sample.
     """
-    gains, contacts, found = jax.vmap(lambda p: design_and_margins(p, scene, ideal))(params)
-    gains = jax.vmap(lambda g: scalars(g, preview))(gains)
-    cells = as_dtype((gains, contacts, scene.lsb, scene.signals), dtype)
-    measured = over_cells(run, *cells)
-    finite = jnp.all((measured.peak_force < HIGHEST_FORCE) & jnp.isfinite(measured.rms), axis=-1)
+    gains, contacts, found = jax.vmap(lambda p: design_and_margins(p, scene, world.ideal))(params)
+    gains = jax.vmap(lambda g: scalars(g, world.preview))(gains)
+    ran = run_cells(world, gains, params.K2, contacts, scene, dtype, traced)
+    finite = jnp.isinf(ran.diverged) & jnp.all(jnp.isfinite(ran.metrics.rms), axis=-1)
     status = jnp.where((found.status == Status.OK) & ~finite, Status.DIVERGED, found.status)
     usable = (status == Status.OK)[..., None]
-    held = Metrics(*(jnp.where(usable, value, jnp.nan) for value in measured))
-    return Outcome(held, found, status, over_cells(record, *cells) if traced else None)
+    held = Metrics(*(jnp.where(usable, value, jnp.nan) for value in ran.metrics))
+    touching = jnp.isinf(ran.lost_contact)
+    status = jnp.where((status == Status.OK) & ~touching, Status.LOST_CONTACT, status)
+    when = jnp.where(status == Status.LOST_CONTACT, ran.lost_contact, ran.diverged)
+    return Outcome(held, found, status, jnp.where(jnp.isinf(when), jnp.nan, when), ran.trace)
 
 
-def as_dtype(tree: Any, dtype: Any) -> Any:
-    """Floating leaves in another precision; masks stay what they are."""
-
-    def cast(leaf: Any) -> Any:
-        leaf = jnp.asarray(leaf)
-        return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-
-    return jax.tree.map(cast, tree)
-
-
-_evaluate = jax.jit(evaluate_block, static_argnames=("ideal", "preview", "dtype", "traced"))
+_evaluate = JitOnce(evaluate_block, static_argnames=("world", "dtype", "traced"))
 
 
 @in_float64
@@ -131,7 +89,7 @@ def evaluate(
     params: Params,
     experiment: Experiment,
     *,
-    physics: Physics = "linear",
+    physics: Physics | None = None,
     precision: Precision = "float64",
     trace: bool = False,
 ) -> Outcome:
@@ -143,7 +101,7 @@ def evaluate(
     Args:
         params: One controller or a batch.
         experiment: What they meet.
-        physics: "linear", the contact loop.
+        physics: "linear", the contact loop; "wam", the arm; "mjx", the arm on stock MJX. None is the experiment's own.
         precision: Of the time stepping; design and margins are always float64.
         trace: Keep every sample of every signal.
 
@@ -153,7 +111,8 @@ def evaluate(
     Raises:
         InputError: The physics or precision is unknown.
     """
-    for key, value, kind in (("physics", physics, Physics), ("precision", precision, Precision)):
+    experiment = with_physics(experiment, physics)
+    for key, value, kind in (("physics", experiment.physics, Physics), ("precision", precision, Precision)):
         if value not in get_args(kind):
             raise InputError(key, value, "a known one", nearest(str(value), list(get_args(kind))))
     batch = params.batch_shape
@@ -161,8 +120,7 @@ def evaluate(
     outcome: Outcome = _evaluate(
         flat,
         scene_of(experiment),
-        ideal=experiment.damping == "ideal",
-        preview=experiment.reference.preview,
+        world=world_of(experiment),
         dtype=precision,
         traced=trace,
     )

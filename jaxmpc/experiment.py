@@ -8,35 +8,15 @@ from typing import Annotated, Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from jaxmpc.arm_settings import Arm, TissueSettings
 from jaxmpc.errors import InputError, nearest
 from jaxmpc.params import HP_MAX, Timing
-from jaxmpc.world import heart
+from jaxmpc.world.motion import Motion, Seconds, Seed, Size, displacement
 from jaxmpc.world.reference import Reference, wanted_force
 
 AXES = ("x", "y", "z")
-Seed = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
-Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)]
-Size = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
+Physics = Literal["linear", "wam", "mjx"]
 Stiffness = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
-
-
-class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the heart moves."""
-
-    kind: Literal["harmonics", "recording", "none"] = "harmonics"
-    scale: Size = 1.0
-    """Factor on the displacement [-]."""
-    phases: Literal["table", "random"] = "table"
-    """Phases of the harmonics: the table's, or drawn from `seed`."""
-    seed: Seed = 0
-    file: str = ""
-    """A recording, CSV or npz; relative to the experiment's file."""
-    unit: Literal["m", "mm"] = "m"
-    repeat: bool = False
-    start: Seconds = 0.0
-    """When the motion begins [s]."""
-    fade: Seconds = 1.0
-    """Time in which it grows to its full size [s]."""
 
 
 class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -48,6 +28,9 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Least significant bit per axis, 2¹⁴ counts on 100/100/200 N [N]."""
     lowpass_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e4)] = 0.0
     """Cut-off of the built-in low-pass [Hz]; the fastest of the JR3 is 500."""
+    kalman: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 0.0
+    """Change of the force rate per sample that a Kalman filter on the measured force assumes [N/s]; 0 is no filter.
+    On the arm alone."""
     seed: Seed = 0
 
 
@@ -68,13 +51,16 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     """One experiment; `from_toml`, `published`, or built in Python. Times in [s], forces in [N]."""
 
     name: str = "experiment"
+    physics: Physics = "linear"
+    """"linear": the contact loop per axis. "wam": the arm. "mjx": the same on stock MJX, slowly, for comparison."""
     duration: Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)] = 25.0
     settle: Seconds = 5.0
     """What is left out of the metrics at the start [s]; ramps are left out as well."""
     stiffness: tuple[Stiffness, ...] = (375.0, 810.0, 1900.0)
     """Tissue stiffnesses K_s [N/m]."""
     damping: Literal["ideal", "sampled"] = "ideal"
-    """"ideal": the paper's (6). "sampled": through the velocity, sampled, filtered and delayed as on the robot."""
+    """"ideal": the paper's (6). "sampled": through the velocity, sampled, filtered and delayed as on the robot,
+    and always so on the arm."""
     velocity_lowpass: Annotated[float, msgspec.Meta(ge=0.0, le=1e5)] = 180.0
     """Cut-off of the velocity filter, for sampled damping [rad/s]."""
     sampling_time: Annotated[float, msgspec.Meta(ge=1e-5, le=0.1)] = 1e-3
@@ -84,6 +70,9 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     motion: Motion = Motion()
     reference: Reference = Reference()
     sensor: Sensor = Sensor()
+    tissue: TissueSettings = TissueSettings()
+    """On the arm alone; the linear world's tissue is elastic."""
+    arm: Arm = Arm()
 
     def __post_init__(self) -> None:
         if not self.stiffness:
@@ -94,6 +83,9 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         if (self.motion.kind == "recording") != bool(self.motion.file):
             remedy = 'Give both motion.kind = "recording" and motion.file = "…", or neither.'
             raise InputError("motion.file", self.motion.file or "missing", "given for a recording only", remedy)
+        if self.physics == "mjx" and (self.arm.substeps > 1 or self.arm.cable_hz):
+            remedy = 'Set arm.substeps = 1 and arm.cable_hz = 0, or physics = "wam".'
+            raise InputError("physics", "mjx", "used without substeps and cable mode", remedy)
 
     @property
     def timing(self) -> Timing:
@@ -107,7 +99,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
 
     @staticmethod
     def published(name: str) -> "Experiment":
-        """An experiment of the paper: "table-1" or "figure-3".
+        """An experiment of the paper ("table-1", "figure-3", on the arm "table-1-wam", "figure-3-wam") or a scenario.
 
         Raises:
             InputError: The name is not one of these.
@@ -147,7 +139,14 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         from jaxmpc.spec import convert, known_keys
 
         known_keys(Experiment, data, root)
-        for key, kind in (("motion", Motion), ("reference", Reference), ("sensor", Sensor)):
+        tables: dict[str, type[msgspec.Struct]] = {
+            "motion": Motion,
+            "reference": Reference,
+            "sensor": Sensor,
+            "tissue": TissueSettings,
+            "arm": Arm,
+        }
+        for key, kind in tables.items():
             if isinstance(table := data.get(key), dict):
                 known_keys(kind, table, f"{root}.{key}".lstrip("."))
         experiment = convert(data, Experiment, root)
@@ -157,6 +156,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
             experiment = msgspec.structs.replace(experiment, motion=motion)
         if experiment.motion.kind == "recording":
             _ = experiment.signals
+        if experiment.physics != "linear":
+            experiment.arm.resting()
         return experiment
 
     def with_seed(self, seed: int) -> "Experiment":
@@ -180,18 +181,4 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         if not score.any(axis=0).all():
             raise InputError("settle", self.settle, "shorter", "No sample is left to score: all are settling or ramps.")
         noise = np.random.Generator(np.random.Philox([self.sensor.seed, 1])).standard_normal((self.steps, 3))
-        return Signals(self._heart(t), self.sensor.noise * noise, np.stack(wanted, 1), score)
-
-    def _heart(self, t: np.ndarray) -> np.ndarray:
-        motion = self.motion
-        if motion.kind == "none":
-            return np.zeros((len(t), 3))
-        grown = heart.fade_in(t, motion.start, motion.fade)[:, None]
-        if motion.kind == "harmonics":
-            seed = motion.seed if motion.phases == "random" else None
-            template: np.ndarray = grown * heart.harmonic_motion(t, motion.scale, seed)
-            return template
-        times, values = heart.read_recording(motion.file, motion.unit)
-        played = heart.recorded_motion(np.maximum(t - motion.start, 0.0), times, values, motion.repeat, motion.file)
-        moved: np.ndarray = grown * motion.scale * played
-        return moved
+        return Signals(displacement(self.motion, t)[0], self.sensor.noise * noise, np.stack(wanted, 1), score)

@@ -8,7 +8,7 @@ from typing import Any
 BASELINE, TUNED, ACCENT = "#8a8f98", "#0b6e99", "#d1495b"
 """Colours: what was, what is now, what to look at."""
 
-_STYLE: Any = {
+STYLE: Any = {
     "font.size": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -37,7 +37,7 @@ def figure(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         drawing = Figure(figsize=size)
         FigureCanvasAgg(drawing)
         axes = drawing.subplots(rows, columns)

@@ -6,13 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmpc.engine.once import JitOnce
 from jaxmpc.engine.rollout import scalars
-from jaxmpc.evaluation import evaluate_block, scene_of
+from jaxmpc.evaluation import evaluate_block
 from jaxmpc.experiment import Experiment
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
 from jaxmpc.params import Params
 from jaxmpc.precision import in_float64
+from jaxmpc.scene import scene_of, world_of
 
 
 @in_float64
@@ -24,18 +26,18 @@ def simulated_run(params: Params, experiment: Experiment) -> tuple[np.ndarray, n
     """
     scene = scene_of(experiment)
     middle = scene._replace(stiffness=scene.stiffness[len(scene.stiffness) // 2][None])
-    ideal, preview = experiment.damping == "ideal", experiment.reference.preview
+    world = world_of(experiment)
 
-    @jax.jit
+    @JitOnce
     def run(batch: Params) -> tuple[Any, Any]:
         # Of the outcome only the trace is returned, so nothing else is compiled.
-        outcome = evaluate_block(batch, middle, ideal=ideal, preview=preview, dtype="float64", traced=True)
+        outcome = evaluate_block(batch, middle, world=world, dtype="float64", traced=True)
         assert outcome.trace is not None
         return outcome.trace.force[0, 0], outcome.trace.force_ref[0, 0]
 
     force, wanted = map(np.asarray, run(jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], params)))
     wanted = np.moveaxis(wanted, 0, 1)
-    return force.T, wanted if preview else wanted[:, :, 0]
+    return force.T, wanted if world.preview else wanted[:, :, 0]
 
 
 @in_float64

@@ -4,12 +4,13 @@ import enum
 
 
 class Status(enum.IntEnum):
-    """Outcome of one controller on one tissue, from best to worst."""
+    """Outcome of one controller on one tissue."""
 
     OK = 0
     UNSTABLE = 1
     DIVERGED = 2
     ILL_POSED = 3
+    LOST_CONTACT = 4
 
     @property
     def sentence(self) -> str:
@@ -18,5 +19,6 @@ class Status(enum.IntEnum):
             Status.OK: "stable, and the run stayed finite",
             Status.UNSTABLE: "the linear loop has a pole on or outside the unit circle",
             Status.DIVERGED: "the run left the finite numbers or 1 kN",
+            Status.LOST_CONTACT: "the tip left the tissue",
             Status.ILL_POSED: "the Riccati equation of the observer has no usable solution",
         }[self]

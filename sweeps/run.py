@@ -11,10 +11,11 @@ import jax
 import numpy as np
 
 from jaxmpc.engine.blocks import BLOCK, over_blocks
-from jaxmpc.evaluation import Outcome, evaluate_block, scene_of
+from jaxmpc.evaluation import Outcome, evaluate_block
 from jaxmpc.params import Params
 from jaxmpc.progress import Tick
 from jaxmpc.progress import progress as progress_of
+from jaxmpc.scene import World, scene_of, world_of
 from jaxmpc.status import Status
 from sweeps import store
 from sweeps.plan import CHUNK, QUANTITIES, Plan, check_chunk, make_plan
@@ -114,15 +115,15 @@ class _Count:
 
 
 @lru_cache(maxsize=8)
-def _program(ideal: bool, preview: bool, precision: str) -> Callable[[Any, Any], Any]:
-    return over_blocks(partial(evaluate_block, ideal=ideal, preview=preview, dtype=precision))
+def _program(world: World, precision: str) -> Callable[[Any, Any], Any]:
+    return over_blocks(partial(evaluate_block, world=world, dtype=precision))
 
 
 def _evaluator(spec: SweepSpec) -> Callable[[Params], Outcome]:
     """One compiled program for all rounds of a sweep, and for all sweeps of its kind in this process."""
     experiment = spec.experiment
     scene = scene_of(experiment)
-    program = _program(experiment.damping == "ideal", experiment.reference.preview, spec.precision)
+    program = _program(world_of(experiment), spec.precision)
 
     def evaluate(batch: Params) -> Outcome:
         with jax.enable_x64(True):

@@ -7,10 +7,11 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from jaxmpc.errors import InputError, nearest
-from jaxmpc.experiment import Experiment, Seed
+from jaxmpc.experiment import Experiment
 from jaxmpc.job import experiment_table, params_table
 from jaxmpc.params import BOUNDS, Params
 from jaxmpc.spec import convert, known_keys, located, read_toml
+from jaxmpc.world.motion import Seed
 from sweeps.space import MOST_ROWS, Axis, Scale, Space, make_axis, make_space
 
 Ends = tuple[float, float]

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.engine.cells import over_cells
-from jaxmpc.engine.rollout import run, scalars
-from jaxmpc.evaluation import Scene
+from jaxmpc.engine.once import JitOnce
+from jaxmpc.engine.rollout import scalars
 from jaxmpc.experiment import Experiment
 from jaxmpc.params import Params
+from jaxmpc.scene import Scene, World, run_cells, world_of
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design_one
@@ -35,29 +35,29 @@ def compare(batch: Params, experiment: Experiment, seeds: Sequence[int]) -> tupl
         them, "as run" and "ideal", each field (controllers, stiffness).
     """
     scene = scene_over_seeds(experiment, seeds, experiment.duration, experiment.settle)
-    ideal_run = experiment.damping == "ideal"
-    rms, found = jax.tree.map(np.asarray, _compare(batch, scene, ideal_run, experiment.reference.preview))
+    world = world_of(experiment)
+    rms, found = jax.tree.map(np.asarray, _compare(batch, scene, world))
     by_kind = {kind: Margins(*(field[..., i] for field in found)) for i, kind in enumerate(KINDS)}
-    stable = by_kind["ideal" if ideal_run else "as run"].spectral_radius < 1.0
+    stable = by_kind["ideal" if world.ideal else "as run"].spectral_radius < 1.0
     rms = np.where(stable[..., None], rms, np.nan)
     return rms.reshape(*stable.shape, len(seeds), 3).swapaxes(1, 2), by_kind
 
 
-@partial(jax.jit, static_argnames=("ideal_run", "preview"))
-def _compare(batch: Params, scene: Scene, ideal_run: bool, preview: bool) -> tuple[Any, Margins]:
+@partial(JitOnce, static_argnames=("world",))
+def _compare(batch: Params, scene: Scene, world: World) -> tuple[Any, Margins]:
     def one(params: Params) -> Any:
         gains, residual = design_one(params, scene.T_s)
 
         def on_tissue(K_s: Any) -> Any:
-            world = contact_of(
-                K_s, params.K2, scene.T_s, scene.delay, ideal_run, scene.velocity_cutoff, scene.sensor_cutoff
+            contact = contact_of(
+                K_s, params.K2, scene.T_s, scene.delay, world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
             )
             kinds = [judged_contact(K_s, params.K2, scene, ideal) for ideal in KINDS.values()]
             judged = jax.tree.map(lambda *leaves: jnp.stack(leaves), *kinds)
             # With ideal damping both cuts are the same, so one program serves both kinds.
-            return world, jax.vmap(lambda contact: margins_one(gains, contact, False, residual))(judged)
+            return contact, jax.vmap(lambda contact: margins_one(gains, contact, False, residual))(judged)
 
-        return scalars(gains, preview), *jax.vmap(on_tissue)(scene.stiffness)
+        return scalars(gains, world.preview), *jax.vmap(on_tissue)(scene.stiffness)
 
     gains, contacts, found = jax.vmap(one)(batch)
-    return over_cells(run, gains, contacts, scene.lsb, scene.signals).rms, found
+    return run_cells(world, gains, batch.K2, contacts, scene, "float64").metrics.rms, found

@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import msgspec
 from jaxtyping import Array, Float
 
-from jaxmpc.engine.cells import over_cells
-from jaxmpc.engine.rollout import AxisSignals, run, scalars
-from jaxmpc.evaluation import Scene, as_dtype, scene_of
+from jaxmpc.engine.rollout import scalars
 from jaxmpc.experiment import Experiment
 from jaxmpc.law.cascade import Gains
 from jaxmpc.params import Params
+from jaxmpc.scene import Scene, World, run_cells, scene_of, side_by_side
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
 from jaxmpc.synthesis import design_one
@@ -46,9 +45,7 @@ class Values(NamedTuple):
 def scene_over_seeds(experiment: Experiment, seeds: Sequence[int], duration: float, settle: float) -> Scene:
     """An experiment on several motion seeds at once, as if each seed had three axes of its own."""
     cut = msgspec.structs.replace(experiment, duration=duration, settle=settle)
-    scenes = [scene_of(cut.with_seed(seed)) for seed in seeds]
-    signals = AxisSignals(*(jnp.concatenate(field) for field in zip(*(scene.signals for scene in scenes), strict=True)))
-    return scenes[0]._replace(signals=signals, lsb=jnp.tile(scenes[0].lsb, len(seeds)))
+    return side_by_side([scene_of(cut.with_seed(seed)) for seed in seeds])
 
 
 def soft_worst(residuals: Float[Array, "starts ..."]) -> Float[Array, " starts"]:
@@ -86,8 +83,7 @@ class Kind(NamedTuple):
 
     axes: tuple[Axis, ...]
     ideal_goals: bool
-    ideal_run: bool
-    preview: bool
+    world: World
     precision: str
 
 
@@ -112,16 +108,16 @@ def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> 
     def design(vector: Array) -> Any:
         params = space.decode(vector, width)
         gains, contacts, found = design_and_goal_margins(
-            params, scene, width, ideal_run=kind.ideal_run, ideal_goals=kind.ideal_goals
+            params, scene, width, ideal_run=kind.world.ideal, ideal_goals=kind.ideal_goals
         )
-        return scalars(gains, kind.preview), contacts, found, standing(found, data.limits, HEADROOM)
+        return scalars(gains, kind.world.preview), params.K2, contacts, found, standing(found, data.limits, HEADROOM)
 
-    gains, contacts, found, goals = jax.vmap(design)(z)
+    gains, K2, contacts, found, goals = jax.vmap(design)(z)
     stable = jnp.all(found.spectral_radius < 1.0, axis=1)
     # An unstable loop would run away and make even the unused slope NaN: it stands still instead.
     gains = jax.tree.map(lambda gain: jnp.where(stable, gain, 0.0), gains)
-    cells = as_dtype((gains, contacts, scene.lsb, scene.signals), kind.precision)
-    residuals = over_cells(run, *cells).rms.astype(jnp.float64)
+    ran = run_cells(kind.world, gains, K2, contacts, scene, kind.precision)
+    residuals = ran.metrics.rms.astype(jnp.float64)
     loss = jnp.where(stable, jnp.log(soft_worst(residuals)), 0.0) + PENALTY * goals.violation
     worst = jnp.where(stable, jnp.max(residuals, axis=(1, 2)), jnp.nan)
     return loss, (worst, found.M_s, goals.normalised)

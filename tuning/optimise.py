@@ -12,6 +12,7 @@ import optax
 from jaxtyping import Array
 
 from jaxmpc.progress import progress
+from jaxmpc.scene import world_of
 from tuning.objective import Data, Kind, Values, scene_over_seeds, value_and_gradient
 from tuning.spec import TuneSpec
 from tuning.state import State, load, save
@@ -81,8 +82,7 @@ def looker(spec: TuneSpec) -> Look:
     kind = Kind(
         axes=spec.space.axes,
         ideal_goals=spec.ideal,
-        ideal_run=experiment.damping == "ideal",
-        preview=experiment.reference.preview,
+        world=world_of(experiment),
         precision=tune.precision,
     )
     return lambda z, width: Values(*map(np.asarray, value_and_gradient(z, data, width, kind)))

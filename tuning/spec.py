@@ -9,11 +9,12 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from jaxmpc.errors import InputError, nearest
-from jaxmpc.experiment import Experiment, Seed
+from jaxmpc.experiment import Experiment
 from jaxmpc.job import experiment_table, params_table
 from jaxmpc.params import BOUNDS, DIAGONALS, Params
 from jaxmpc.sealed import digest
 from jaxmpc.spec import convert, known_keys, located, read_toml
+from jaxmpc.world.motion import Seed
 from tuning.goals import UNITS
 from tuning.transforms import FREE, HORIZONS, Space, axis_of
 

@@ -13,8 +13,13 @@ VERBS = {
     "sweep": "many controllers over a set of stiffnesses; run it again to resume; `sweep report` shows it",
     "tune": "gradient autotuning, worst case over stiffness, margins held",
     "freeze": "parameters → a sealed controller for the robot",
+    "identify": "joint friction and mass error of the arm from a recording of its own motion",
     "check": "replay a frozen controller's golden trace, print its limits and margins",
 }
+
+
+_WORKSTATION = ("jax", "equinox", "optax", "msgspec", "mujoco", "tomli_w", "rich", "matplotlib", "scipy")
+"""What is missing where only the robot's packages are."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -40,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"jaxmpc {args.verb}: {error}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
-        if error.name not in ("jax", "equinox", "optax", "msgspec", "tomli_w", "rich", "matplotlib"):
+        if error.name not in _WORKSTATION:
             raise
         print(f"jaxmpc {args.verb}: it needs {error.name}: install the workstation, jaxmpc[sim]", file=sys.stderr)
         return 2

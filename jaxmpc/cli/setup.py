@@ -1,6 +1,7 @@
-"""What an entry point may do to the process, and a library may not: 64-bit JAX, one device per core."""
+"""What an entry point may do to the process, and a library may not: 64-bit JAX, a device per core, a compile cache."""
 
 import os
+from pathlib import Path
 from typing import Any
 
 
@@ -18,9 +19,18 @@ def use_all_cores(cores: int | None = None) -> None:
 
     config: Any = jax.config
     config.update("jax_enable_x64", True)
+    _remember_programs(config)
     wanted = max(2, cores or len(os.sched_getaffinity(0)))
     if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return
     # Setting the same number again would be refused once JAX has computed something.
     if config.jax_num_cpu_devices != wanted:
         config.update("jax_num_cpu_devices", wanted)
+
+
+def _remember_programs(config: Any) -> None:
+    """Keep compiled programs for the next run, in the user's cache; JAX_COMPILATION_CACHE_DIR names another place."""
+    if config.jax_compilation_cache_dir is None:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        config.update("jax_compilation_cache_dir", str(cache / "jaxmpc" / "programs"))
+    config.update("jax_persistent_cache_min_compile_time_secs", 0.2)

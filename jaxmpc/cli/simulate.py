@@ -1,40 +1,178 @@
-"""`jaxmpc simulate`: one experiment, its table and its figure."""
+"""`jaxmpc simulate`: one experiment, its tables, its figures and, on the arm, its film."""
 
 import argparse
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jaxmpc.evaluation import Outcome
+    from jaxmpc.experiment import Experiment
+    from jaxmpc.params import Params
+
+PATIENCE = 2.0
+"""How long a run is silent [s]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
-    parser.add_argument("experiment", help="a TOML file, or a published one: table-1, figure-3")
-    parser.add_argument("--params", default="text", help="a params.toml, or a published set: text, printed (text)")
+    parser.add_argument(
+        "experiment", help="a TOML file, or a published one: table-1, figure-3, table-1-wam, figure-3-wam, …"
+    )
+    parser.add_argument(
+        "--params", default="text", help="a params.toml, or a published set: text, printed, mpc-alone (text)"
+    )
+    parser.add_argument("--physics", choices=("linear", "wam", "mjx"), help="contact loop, arm, or arm on stock MJX")
+    parser.add_argument("--compare", action="store_true", help="also run the AOB alone and the MPC alone")
+    parser.add_argument("--video", nargs="?", const="", metavar="FILE.mp4", help="film of the arm (runs/NAME/NAME.mp4)")
     parser.add_argument("-o", "--output", type=Path, help="folder for the figures (runs/NAME)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, print, draw; 1 when a stiffness did not end OK."""
-    import msgspec
-
     from jaxmpc.cli.arguments import experiment_from, params_from
     from jaxmpc.cli.setup import use_all_cores
-    from jaxmpc.cli.tables import RESIDUAL_HEADER, residual_rows, show
 
     use_all_cores()
-    from jaxmpc import Status, evaluate
-    from jaxmpc.cli.pictures import experiment_figure
+    from jaxmpc import Status
+    from jaxmpc.cli import comparison
+    from jaxmpc.cli.film import check_film, film
 
-    params, experiment = params_from(args.params), experiment_from(args.experiment)
-    folder = args.output or Path("runs") / experiment.name
+    params, experiment = params_from(args.params), _with_physics(experiment_from(args.experiment), args.physics)
+    folder: Path = args.output or Path("runs") / experiment.name
+    others = comparison.parts(params) if args.compare else {}
+    filmed = None
+    if args.video is not None:
+        filmed = Path(args.video) if args.video else folder / f"{experiment.name}.mp4"
+        check_film(filmed, experiment)
     print(
-        f"experiment {experiment.name}: {experiment.duration:g} s, damping {experiment.damping}, params {args.params}"
+        f"experiment {experiment.name}: {experiment.duration:g} s, physics {experiment.physics}, "
+        f"damping {_damping(experiment)}, params {args.params}"
     )
-    outcome = evaluate(params, experiment, trace=True)
-    show("", RESIDUAL_HEADER, residual_rows(params.architecture, outcome, experiment))
-    still = msgspec.structs.replace(experiment, motion=msgspec.structs.replace(experiment.motion, kind="none", file=""))
+    outcome = simulated(params, experiment, traced=True)
+    compared = {label: simulated(other, experiment) for label, other in others.items()}
+    _tables(params.architecture, outcome, compared, experiment)
+    row = _figures(folder, params, experiment, outcome)
+    if filmed and row is not None:
+        film(filmed, experiment, outcome, row)
+        print(f"film: {filmed}")
+    _statuses("", outcome, experiment)
+    for label, other in compared.items():
+        _statuses(f"{label}, ", other, experiment)
+    return int(any(int(code) != Status.OK for code in outcome.status))
+
+
+def simulated(params: "Params", experiment: "Experiment", traced: bool = False) -> "Outcome":
+    """`evaluate` that waits for the result, and says after a while that there is something to wait for."""
+    import jax
+
+    from jaxmpc import evaluate
+
+    with _said_after(PATIENCE, f"compiling and running {experiment.name}, {params.architecture} …"):
+        outcome = evaluate(params, experiment, trace=traced)
+        # JAX hands results over before they are there.
+        jax.tree.map(lambda leaf: leaf.block_until_ready(), outcome)
+    return outcome
+
+
+def without_motion(experiment: "Experiment") -> "Experiment":
+    """The same with the Heartbox off; it differs in data alone, so the program of the first run serves it."""
+    from msgspec.structs import replace
+
+    from jaxmpc.world.motion import Motion
+
+    return replace(experiment, motion=Motion(kind="none"))
+
+
+def _with_physics(experiment: "Experiment", physics: str | None) -> "Experiment":
+    """In another physics, under a name of its own so that neither run writes over the other."""
+    from msgspec.structs import replace
+
+    from jaxmpc.scene import with_physics
+
+    if physics in (None, experiment.physics):
+        return experiment
+    return replace(with_physics(experiment, physics), name=f"{experiment.name}-{physics}")
+
+
+def _damping(experiment: "Experiment") -> str:
+    return experiment.damping if experiment.physics == "linear" else "sampled"
+
+
+def _tables(label: str, outcome: "Outcome", compared: dict[str, "Outcome"], experiment: "Experiment") -> None:
+    import numpy as np
+
+    from jaxmpc.cli import comparison
+    from jaxmpc.cli.tables import RESIDUAL_HEADER, residual_rows, show
+
+    rows = residual_rows(label, outcome, experiment)
+    for name, other in compared.items():
+        rows += residual_rows(name, other, experiment)
+    show("", RESIDUAL_HEADER, rows)
+    if experiment.physics != "linear" and (rows := comparison.paper_rows(outcome, experiment)):
+        show("beside the paper's Table I", comparison.PAPER_HEADER, rows)
+        if len(deviation := 100.0 * np.abs(comparison.deviations(outcome, experiment))):
+            worst, median = np.max(deviation), np.median(deviation)
+            print(f"RMS off Table I: worst cell {worst:.0f} %, median {median:.0f} %\n")
+    if compared:
+        rows = comparison.reduction_rows(outcome, compared, experiment)
+        show(f"RMS of {label} lower by", comparison.REDUCTION_HEADER, rows)
+
+
+def _figures(folder: Path, params: "Params", experiment: "Experiment", outcome: "Outcome") -> int | None:
+    """Draw what ended well nearest the middle stiffness; its row, or None where nothing did."""
+    from jaxmpc.cli.pictures import experiment_figure, row_to_draw, spectrum_figure
+    from jaxmpc.cli.tables import show
+
+    moves = experiment.motion.kind != "none"
+    still = simulated(params, without_motion(experiment), traced=True) if moves else outcome
+    row = row_to_draw(outcome, still)
+    if row is None:
+        print("figures: none, because no run stayed finite at any stiffness")
+        return None
     path = folder / f"{experiment.name}.png"
-    experiment_figure(path, experiment, outcome, evaluate(params, still, trace=True))
+    experiment_figure(path, experiment, outcome, still, row)
     print(f"figure: {path}")
-    for stiffness, code in zip(experiment.stiffness, outcome.status, strict=True):
-        if code != Status.OK:
-            print(f"{stiffness:g} N/m: {Status(int(code)).name}: {Status(int(code)).sentence}")
-    return int(any(code != Status.OK for code in outcome.status))
+    if moves:
+        path = folder / f"{experiment.name}-spectrum.png"
+        found = spectrum_figure(path, experiment, outcome, still, row)
+        amplitudes = [
+            [f"{frequency:.2f}", *(f"{newton:.2f} / {mm:.2f}" for newton, mm in zip(force, motion, strict=True))]
+            for frequency, force, motion in zip(found.frequency, found.force.T, found.motion.T, strict=True)
+        ]
+        show(
+            f"peaks of the disturbance, {experiment.stiffness[row]:g} N/m",
+            ("f Hz", "X N / mm", "Y N / mm", "Z N / mm"),
+            amplitudes,
+        )
+        print(f"figure: {path}")
+    return row
+
+
+def _statuses(label: str, outcome: "Outcome", experiment: "Experiment") -> None:
+    """One line for every stiffness that did not end OK: what happened, and when."""
+    import numpy as np
+
+    from jaxmpc import Status
+
+    for stiffness, code, when in zip(experiment.stiffness, outcome.status, outcome.when, strict=True):
+        status, at = Status(int(code)), float(when)
+        if status != Status.OK:
+            moment = f" at {at:.2f} s" if np.isfinite(at) else ""
+            if status == Status.UNSTABLE and moment:
+                moment = f", force out of bounds{moment}"
+            print(f"{label}{stiffness:g} N/m: {status.name}{moment}: {status.sentence}")
+
+
+@contextmanager
+def _said_after(seconds: float, text: str) -> Iterator[None]:
+    timer = threading.Timer(seconds, lambda: print(text, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -18,6 +18,10 @@ STRETCH = 125
 """Samples between two checkpoints of the reverse mode and two partial sums of the metrics."""
 
 
+HIGHEST_FORCE = 1e3
+"""A run whose force leaves this has diverged [N]."""
+
+
 class AxisSignals(NamedTuple):
     """What one axis meets, sample by sample."""
 
@@ -98,8 +102,8 @@ def advance(gains: Gains, contact: Contact, lsb: Scalar, carry: Carry, signals: 
     return Carry(controller, state), sample
 
 
-def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> Metrics:
-    """Metrics of one axis over a whole experiment.
+def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> tuple[Metrics, Scalar]:
+    """Metrics of one axis over a whole experiment, and when its force left 1 kN, ∞ if never [s].
 
     Time runs in stretches: each is one checkpoint of the reverse mode and one partial sum, so that
     gradients need the memory of √steps states and float32 sums keep their digits.
@@ -119,15 +123,17 @@ def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> Me
         return (following, totals), None
 
     @jax.checkpoint
-    def stretch(state: tuple[Carry, Totals], part: AxisSignals) -> tuple[tuple[Carry, Totals], None]:
+    def stretch(state: tuple[Carry, Totals], part: AxisSignals) -> tuple[tuple[Carry, Totals], Any]:
         carry, totals = state
         (carry, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, empty), part)
-        return (carry, merge(totals, partial)), None
+        return (carry, merge(totals, partial)), ~(partial.highest_force < HIGHEST_FORCE)
 
     empty = nothing(jnp.zeros_like(gains.mpc_u))
     parts = AxisSignals(*map(stretches, signals))
-    (_, totals), _ = jax.lax.scan(stretch, (start(gains), empty), parts)
-    return metrics(totals, jnp.sum(signals.score))
+    (_, totals), away = jax.lax.scan(stretch, (start(gains), empty), parts)
+    # To one stretch: a flag per sample would cost every run what only a lost one needs.
+    when = jnp.where(jnp.any(away), STRETCH * jnp.argmax(away) * contact.T_s, jnp.inf)
+    return metrics(totals, jnp.sum(signals.score)), when
 
 
 def record(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> Sample:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxmpc.engine.once import JitOnce
 from jaxmpc.errors import InputError
 from jaxmpc.law.cascade import Gains
 from jaxmpc.params import Params, Timing
@@ -74,7 +75,7 @@ def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0
     return Margins(jnp.where(stable, worst.M_s, jnp.inf), up, down, phase, delay, radius, status)
 
 
-@partial(jax.jit, static_argnames=("ideal",))
+@partial(JitOnce, static_argnames=("ideal",))
 def _margins(params: Params, stiffness: Any, delay: Any, T_s: Any, ideal: bool) -> Margins:
     def one(p: Params, K_s: Any) -> Margins:
         gains, residual = design_one(p, T_s)

@@ -1,0 +1,77 @@
+"""`jaxmpc identify`: joint friction from a recording, its table and its figure."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxmpc.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxmpc.identification import Estimate, Identification
+
+SUFFIXES = (".png", ".svg", ".pdf")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    columns = "t [s], q1…q4 [rad], tau1…tau4 [N m]"
+    parser.add_argument("recording", type=Path, help=f"CSV or npz of motion without contact: {columns}")
+    parser.add_argument("-o", "--output", type=Path, default=Path("friction.toml"), help="(friction.toml)")
+    parser.add_argument("--figure", type=Path, help="measured and fitted friction over velocity")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Identify, print, write, draw."""
+    from jaxmpc.identification import identify, read_recording, write
+
+    if args.figure and args.figure.suffix not in SUFFIXES:
+        raise InputError("--figure", str(args.figure), f"a file ending in {', '.join(SUFFIXES)}", "Rename it.")
+    recording = read_recording(args.recording)
+    try:
+        found = identify(recording)
+    except InputError as error:
+        raise error.at(args.recording) from None
+    _show(found)
+    write(args.output, found)
+    print(f"friction: {args.output}")
+    if args.figure:
+        _draw(args.figure, found)
+        print(f"figure: {args.figure}")
+    return 0
+
+
+def _show(found: "Identification") -> None:
+    from jaxmpc.cli.tables import show
+
+    def cell(estimate: "Estimate", joint: int, factor: float = 1.0) -> str:
+        return f"{factor * estimate.value[joint]:.3f} ± {factor * estimate.error[joint]:.3f}"
+
+    rows = [
+        [
+            f"J{joint + 1}",
+            cell(found.coulomb, joint),
+            cell(found.viscous, joint),
+            cell(found.presliding, joint, 1e3),
+            cell(found.offset, joint),
+            f"{found.rms[joint]:.3f}",
+            f"{found.r_squared[joint]:.5f}",
+        ]
+        for joint in range(4)
+    ]
+    header = ("joint", "Coulomb N m", "viscous N m s/rad", "presliding mrad", "offset N m", "residual RMS N m", "R²")
+    show("", header, rows)
+    print(f"masses of the links over the model's: {found.mass_scale:.4f} ± {found.mass_scale_error:.4f}")
+
+
+def _draw(path: Path, found: "Identification") -> None:
+    from jaxmpc.figures import BASELINE, TUNED, figure
+
+    with figure(path, rows=2, columns=2, size=(8.0, 6.0)) as axes:
+        for joint, panel in enumerate(axes.flat):
+            v = found.velocity[:, joint]
+            panel.plot(v, found.measured[:, joint], ".", ms=2.0, color=BASELINE, label="measured")
+            panel.plot(v, found.fitted[:, joint], ".", ms=1.0, color=TUNED, label="fitted")
+            panel.set_title(f"J{joint + 1}, residual {found.rms[joint]:.3f} N m RMS")
+            panel.set_xlabel("velocity [rad/s]")
+            panel.set_ylabel("friction torque [N m]")
+        axes[0, 0].legend(markerscale=4.0)

@@ -1,0 +1,66 @@
+"""What the law and the world need besides + - * /, on JAX scalars; steps are straight-through in the tangent.
+
+The true derivative of a quantiser is zero and that of a saturation drops to zero: both would hide the loop from a
+tuner. Their tangent here is that of the identity.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+exp, sqrt, where = jnp.exp, jnp.sqrt, jnp.where
+minimum, maximum = jnp.minimum, jnp.maximum
+
+
+@jax.custom_jvp
+def sin(angle: Any) -> Any:
+    """Sine, computed once however often it is used."""
+    return _kept(jnp.sin(angle))
+
+
+@jax.custom_jvp
+def cos(angle: Any) -> Any:
+    """Cosine, computed once however often it is used."""
+    return _kept(jnp.cos(angle))
+
+
+@sin.defjvp
+def _sin_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
+    return sin(*primals), cos(*primals) * tangents[0]
+
+
+@cos.defjvp
+def _cos_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
+    return cos(*primals), -sin(*primals) * tangents[0]
+
+
+def _kept(value: Any) -> Any:
+    """The same value, divided by a one that the compiler cannot see through.
+
+    XLA on a CPU copies most operations into every fusion that needs them: the 24 sines and cosines of a step were
+    computed 361 times, which was all of its time. A quotient is one of the few results that it keeps.
+    """
+    return value / (1.0 + 0.0 * value)
+
+
+@jax.custom_jvp
+def floor(value: Any) -> Any:
+    """Largest whole number not above a value."""
+    return jnp.floor(value)
+
+
+@floor.defjvp
+def _floor_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
+    return jnp.floor(primals[0]), tangents[0]
+
+
+@jax.custom_jvp
+def clip(value: Any, low: Any, high: Any) -> Any:
+    """A value held within two limits."""
+    return jnp.minimum(jnp.maximum(value, low), high)
+
+
+@clip.defjvp
+def _clip_jvp(primals: tuple[Any, Any, Any], tangents: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    return clip(*primals), tangents[0]

@@ -1,0 +1,112 @@
+"""Computed torque in task space: from the acceleration wanted at the tip to joint torques.
+
+With [P] the paper, y the measured force on the tissue (F_e = −y acts on the robot), a the acceleration wanted,
+and nominal Mₙ, cₙ that may differ from the arm's:
+
+    w = a − J̇q̇ − J q̈₀,   Λ = (J Mₙ⁻¹ Jᵀ)⁻¹
+    τ = Mₙ q̈₀ + Jᵀ (Λ w + y) + cₙ + τ_f                      [P] (1)–(4)
+    q̈₀ = −20 (q − q_posture) − 9 q̇                            holds the redundant joint
+
+which is τ = Mₙ q̈ + cₙ + Jᵀ y with J q̈ = a − J̇q̇, and q̈₀ in the null space of J.
+"""
+
+from typing import Any, NamedTuple
+
+from jaxmpc.law import chain as arm
+from jaxmpc.law.chain import Chain
+from jaxmpc.law.scalar import (
+    Matrix,
+    Scalar,
+    Vector,
+    add,
+    apply,
+    apply_transposed,
+    factor_ldl,
+    matmul,
+    scale,
+    solve_ldl,
+    sub,
+    transpose,
+)
+
+POSTURE_STIFFNESS, POSTURE_DAMPING = 20.0, 9.0
+"""Null-space posture: acceleration per angle [1/s²] and per velocity [1/s]; critically damped."""
+COMPENSATION_VELOCITY = 0.02
+"""Half-width of the smooth sign in the friction compensation [rad/s]."""
+
+
+class Nominal(NamedTuple):
+    """What the controller believes of the arm; each scalar may be a batch."""
+
+    mass_scale: Scalar
+    """Mass and inertia of links and tool, as a share of the true ones [-]."""
+    tool_error: Scalar
+    """Point mass at the tip that is believed but not there [kg]."""
+    coulomb: Vector
+    """Coulomb friction that is compensated [N m]; zeros compensate none."""
+    viscous: Vector
+    """Viscous friction that is compensated [N m s/rad]."""
+
+
+class Torque(NamedTuple):
+    """Torques, and what is needed to say what a changed torque means at the tip."""
+
+    torque: Vector
+    """Joint torques τ [N m]."""
+    jacobian: Matrix
+    factors: Any
+    """Of the nominal mass matrix."""
+
+
+def tip_velocity(chain: Chain, q: Vector, qd: Vector, ops: Any) -> Vector:
+    """Velocity of the tip [m/s] at measured joint angles [rad] and velocities [rad/s]."""
+    return apply(arm.tip(chain, arm.pose(chain, q, ops)).jacobian, qd)
+
+
+def torque(
+    chain: Chain, nominal: Nominal, posture: Vector, q: Vector, qd: Vector, a: Vector, force: Vector, ops: Any
+) -> Torque:
+    """Joint torques for a wanted acceleration of the tip.
+
+    Args:
+        chain: The arm.
+        nominal: How it is believed to differ.
+        posture: Joint angles at which the null space rests, 4 scalars [rad].
+        q: Measured joint angles, 4 scalars [rad].
+        qd: Measured joint velocities, 4 scalars [rad/s].
+        a: Wanted acceleration, 3 scalars [m/s²].
+        force: Measured force on the tissue, 3 scalars [N].
+        ops: Module with `sin`, `cos` and `sqrt`.
+    """
+    share = nominal.mass_scale
+    believed = arm.with_point_mass(chain, nominal.tool_error / share)
+    at = arm.pose(believed, q, ops)
+    J = arm.tip(believed, at).jacobian
+    found = arm.dynamics(believed, at, qd)
+    mass = arm.with_diagonal(tuple(scale(share, row) for row in found.mass), chain.armature)
+    bias = scale(share, found.bias)
+
+    posture_acceleration = sub(
+        scale(-POSTURE_STIFFNESS, sub(q, posture)),
+        scale(POSTURE_DAMPING, qd),
+    )
+    factors = factor_ldl(mass)
+    response = tuple(solve_ldl(factors, row) for row in J)
+    mobility = matmul(J, transpose(response))
+    w = sub(sub(a, found.drift), apply(J, posture_acceleration))
+    at_the_tip = add(solve_ldl(factor_ldl(mobility), w), force)
+    tau = add(add(apply(mass, posture_acceleration), bias), apply_transposed(J, at_the_tip))
+    return Torque(add(tau, _compensation(nominal, qd, ops)), J, factors)
+
+
+def acceleration_of(found: Torque, change: Vector) -> Vector:
+    """Acceleration of the tip [m/s²] that a change of the joint torques [N m] makes, on the nominal model."""
+    return apply(found.jacobian, solve_ldl(found.factors, change))
+
+
+def _compensation(nominal: Nominal, qd: Vector, ops: Any) -> Vector:
+    """F_c q̇/√(q̇² + v₀²) + D q̇: friction torques to be cancelled."""
+    return tuple(
+        coulomb * v / ops.sqrt(v * v + COMPENSATION_VELOCITY**2) + viscous * v
+        for coulomb, viscous, v in zip(nominal.coulomb, nominal.viscous, qd, strict=True)
+    )

@@ -1,0 +1,312 @@
+"""The arm in contact with the heart: what it senses at a sample, and how it moves until the next.
+
+Scalar arithmetic like the law, so that simulation, oracle and twin run one source. Between two samples the torque
+is held while friction, tissue and heart go on, in `substeps` equal steps h of
+
+    leapfrog   q½ = q + h/2 q̇,  (M + h/2 D) q̈ = τ − f − Jᵀy − c − D q̇  at q½,  q̇' = q̇ + h q̈,  q' = q½ + h/2 q̇'
+    Euler      the same with q½ = q and h D, q' = q + h q̇'   (MuJoCo's semi-implicit Euler, for parity)
+
+with friction f, tissue force y, bias c, viscous friction D. With a cable mode the motors are bodies of their own,
+tied to the links by a spring and a damper per joint; the encoders then see the motors.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from jaxmpc.law import chain as arm
+from jaxmpc.law.chain import Chain
+from jaxmpc.law.computed_torque import Nominal
+from jaxmpc.law.scalar import (
+    Scalar,
+    Vector,
+    add,
+    apply,
+    apply_transposed,
+    factor_ldl,
+    plus,
+    scale,
+    solve_ldl,
+    sub,
+    times,
+)
+from jaxmpc.world import drive as drives
+from jaxmpc.world import friction as frictions
+from jaxmpc.world import tissue as tissues
+from jaxmpc.world.contact import quantise
+
+_NONE = (0.0, 0.0, 0.0, 0.0)
+
+Accelerate = Callable[..., Vector]
+"""Like `accelerate` below."""
+
+
+class Kind(NamedTuple):
+    """What changes the program and not only its data."""
+
+    tissue: str = "elastic"
+    attached: bool = True
+    """Whether the tip cannot leave the tissue, as in the paper."""
+    cable: bool = False
+    kalman: bool = False
+    tool_inertia: bool = False
+    """Whether the force sensor reads the inertia of a tool beyond it."""
+    integrator: str = "leapfrog"
+    substeps: int = 1
+
+
+class Cable(NamedTuple):
+    """Spring and damper between motor and link of each joint."""
+
+    stiffness: Vector
+    """[N m/rad]"""
+    damping: Vector
+    """[N m s/rad]"""
+
+
+class Sensor(NamedTuple):
+    """The force sensor at the tip."""
+
+    pole: Scalar
+    """Of its low-pass [-]; 0 passes everything."""
+    lsb: Vector
+    """Least significant bit per axis [N]; 0 is a perfect one."""
+    tool_mass: Scalar
+    """Mass beyond the sensor, whose inertia it reads [kg]; its weight is tared."""
+    kalman: tuple[Scalar, Scalar]
+    """Steady gains of the force filter: force [-] and force rate [1/s]."""
+
+
+class Robot(NamedTuple):
+    """The arm and what it touches; each scalar may be a batch."""
+
+    drive: drives.Drive
+    friction: frictions.Friction
+    viscous: Vector
+    """Viscous friction of the joints [N m s/rad]."""
+    cable: Cable
+    tool_mass: Scalar
+    """Point mass at the tip beyond the MJCF's tool [kg]."""
+    sensor: Sensor
+    tissue: tissues.Tissue
+    nominal: Nominal
+    posture: Vector
+    """Joint angles at the start and of the null space [rad]."""
+    touch: Vector
+    """Tip position there: where the heart's surface lies when it rests [m]."""
+    extra_delay: Scalar
+    """0 for a delay of one sample, 1 for two."""
+
+
+class Heart(NamedTuple):
+    """The heart's surface at an instant."""
+
+    position: Vector
+    """Displacement [m]."""
+    velocity: Vector
+    """[m/s]"""
+
+
+class State(NamedTuple):
+    """What the world remembers between two samples."""
+
+    q: Vector
+    """Joint angles of the links [rad]."""
+    qd: Vector
+    """[rad/s]"""
+    motor: Any
+    """Angles and velocities of the motors, in joint coordinates, with a cable mode; else ()."""
+    bristles: Vector
+    """Presliding of the joint friction, normalised [-]."""
+    tissue: Any
+    drive: drives.DriveState
+    force: Vector
+    """Filtered force [N]."""
+    filtered: Any
+    """Force and force rate of the Kalman filter, where there is one; else ()."""
+    tip_velocity: Any
+    """At the last sample, where the sensor reads inertia; else () [m/s]."""
+    pending: tuple[Vector, Vector]
+    """Torques of the last two samples, newest first [N m]."""
+
+
+def accelerate(
+    chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Scalar, viscous: Vector, share: Scalar, ops: Any
+) -> Vector:
+    """q̈ of (M + share D) q̈ = τ − c − D q̇ [rad/s²]; the plain form, for any kind of scalar.
+
+    Args:
+        chain: The arm.
+        q: Joint angles, 4 scalars [rad].
+        qd: Joint velocities, 4 scalars [rad/s].
+        torque: Joint torques τ, 4 scalars [N m].
+        tool_mass: Point mass at the tip beyond the chain's own [kg].
+        viscous: Viscous friction D, 4 scalars [N m s/rad].
+        share: Time over which it is implicit [s].
+        ops: Scalar functions.
+    """
+    return solve_ldl(*factored(chain, q, qd, torque, tool_mass, viscous, share, ops))
+
+
+def factored(
+    chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Scalar, viscous: Vector, share: Scalar, ops: Any
+) -> tuple[Any, Vector]:
+    """The equation that `accelerate` solves: factors of its left side, and its right side."""
+    loaded = arm.with_point_mass(chain, tool_mass)
+    found = arm.dynamics(loaded, arm.pose(loaded, q, ops), qd)
+    diagonal = tuple(plus(A, times(share, D)) for A, D in zip(chain.armature, viscous, strict=True))
+    rest = sub(sub(torque, found.bias), tuple(map(times, viscous, qd)))
+    return factor_ldl(arm.with_diagonal(found.mass, diagonal)), rest
+
+
+def init(chain: Chain, kind: Kind, robot: Robot, like: Scalar, ops: Any) -> State:
+    """The arm at rest in its posture, held against gravity, touching without force; numbers in the form of `like`."""
+    zero = 0.0 * like
+    four, three = (zero,) * 4, (zero,) * 3
+    loaded = arm.with_point_mass(chain, robot.tool_mass)
+    held = add(arm.inverse_dynamics(loaded, arm.pose(loaded, robot.posture, ops), _NONE, _NONE), four)
+    motor: Any = ()
+    if kind.cable:
+        wound = tuple(torque / spring for torque, spring in zip(held, robot.cable.stiffness, strict=True))
+        motor = (add(robot.posture, wound), four)
+    start = motor[0] if kind.cable else robot.posture
+    return State(
+        add(robot.posture, four),
+        four,
+        motor,
+        frictions.init(zero),
+        tissues.init(kind.tissue, zero),
+        drives.DriveState(add(drives.read(robot.drive, start, ops), four), four),
+        three,
+        (three, three) if kind.kalman else (),
+        three if kind.tool_inertia else (),
+        (held, held),
+    )
+
+
+def sense(
+    chain: Chain, kind: Kind, robot: Robot, state: State, heart: Heart, noise: Vector, ops: Any
+) -> tuple[Vector, Vector, State]:
+    """What the controller reads at a sample.
+
+    Args:
+        chain: The arm.
+        kind: Structure of the world.
+        robot: Its constants.
+        state: At the sample.
+        heart: At the sample.
+        noise: Of the force sensor [N].
+        ops: Scalar functions.
+
+    Returns:
+        Measured force on the tissue [N], tip displacement from where it touched [m], and the state with its
+        filters moved on; measured angles and velocities are in `state.drive`.
+    """
+    at_tip = arm.tip(chain, arm.pose(chain, state.q, ops))
+    tip, velocity = sub(at_tip.position, robot.touch), apply(at_tip.jacobian, state.qd)
+    true = tissues.force(
+        kind.tissue,
+        kind.attached,
+        robot.tissue,
+        state.tissue,
+        sub(tip, heart.position),
+        sub(velocity, heart.velocity),
+        ops,
+    )
+    read, remembered = true, state.tip_velocity
+    if kind.tool_inertia:
+        read = add(true, scale(robot.sensor.tool_mass / robot.drive.T_s, sub(velocity, remembered)))
+        remembered = velocity
+    force = tuple(now + robot.sensor.pole * (before - now) for now, before in zip(read, state.force, strict=True))
+    measured = tuple(
+        ops.where(lsb > 0.0, quantise(value + error, ops.where(lsb > 0.0, lsb, 1.0), ops.floor), value + error)
+        for value, error, lsb in zip(force, noise, robot.sensor.lsb, strict=True)
+    )
+    filtered = state.filtered
+    if kind.kalman:
+        measured, filtered = _kalman(robot, filtered, measured)
+    seen = drives.measure(robot.drive, state.drive, state.motor[0] if kind.cable else state.q, ops)
+    return measured, tip, state._replace(drive=seen, force=force, filtered=filtered, tip_velocity=remembered)
+
+
+def move(
+    chain: Chain,
+    kind: Kind,
+    robot: Robot,
+    state: State,
+    torque: Vector,
+    hearts: Sequence[Heart],
+    advance: Accelerate,
+    ops: Any,
+) -> State:
+    """Take torques sent at this sample and advance to the next.
+
+    Args:
+        chain: The arm.
+        kind: Structure of the world.
+        robot: Its constants.
+        state: That `sense` returned.
+        torque: Joint torques sent now; they act one or two samples later [N m].
+        hearts: The heart where each substep asks for it: its middle with leapfrog, its start with Euler.
+        advance: Joint accelerations, `accelerate` or another way to them.
+        ops: Scalar functions.
+    """
+    newest, older = state.pending
+    acting = tuple(new + robot.extra_delay * (old - new) for new, old in zip(newest, older, strict=True))
+    for heart in hearts:
+        state = _substep(chain, kind, robot, state, acting, heart, advance, ops)
+    return state._replace(pending=(torque, newest))
+
+
+def _substep(
+    chain: Chain,
+    kind: Kind,
+    robot: Robot,
+    state: State,
+    torque: Vector,
+    heart: Heart,
+    advance: Accelerate,
+    ops: Any,
+) -> State:
+    h = robot.drive.T_s / kind.substeps
+    leapfrog = kind.integrator == "leapfrog"
+    lead = 0.5 * h if leapfrog else 0.0
+    share = 0.5 * h if leapfrog else h
+    q, qd = state.q, state.qd
+    at = add(q, scale(lead, qd))
+    at_tip = arm.tip(chain, arm.pose(chain, at, ops))
+    d = sub(sub(at_tip.position, robot.touch), heart.position)
+    ddot = sub(apply(at_tip.jacobian, qd), heart.velocity)
+    y = tissues.force(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, ops)
+    relaxed = tissues.relax(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, h, ops)
+    loaded = sub(_NONE, apply_transposed(at_tip.jacobian, y))
+
+    moving = state.motor[1] if kind.cable else qd
+    bristles, rubbing = frictions.step(robot.friction, state.bristles, moving, h, ops)
+    driven = sub(torque, rubbing)
+    motor: Any = ()
+    if kind.cable:
+        theta, thetad = state.motor
+        wound = add(theta, scale(lead, thetad))
+        spring = add(
+            tuple(map(times, robot.cable.stiffness, sub(wound, at))),
+            tuple(map(times, robot.cable.damping, sub(thetad, qd))),
+        )
+        links = chain._replace(armature=_NONE)
+        qdd = advance(links, at, qd, add(loaded, spring), robot.tool_mass, _NONE, share, ops)
+        rest = sub(sub(driven, spring), tuple(map(times, robot.viscous, thetad)))
+        inertia = add(chain.armature, scale(share, robot.viscous))
+        thetad = add(thetad, scale(h, tuple(x / A for x, A in zip(rest, inertia, strict=True))))
+        motor = (add(wound, scale(h - lead, thetad)), thetad)
+    else:
+        qdd = advance(chain, at, qd, add(driven, loaded), robot.tool_mass, robot.viscous, share, ops)
+    qd = add(qd, scale(h, qdd))
+    return state._replace(q=add(at, scale(h - lead, qd)), qd=qd, motor=motor, bristles=bristles, tissue=relaxed)
+
+
+def _kalman(robot: Robot, filtered: tuple[Vector, Vector], measured: Vector) -> tuple[Vector, tuple[Vector, Vector]]:
+    """Force and force rate by a steady Kalman filter whose model is a constant rate."""
+    gain, rate_gain = robot.sensor.kalman
+    predicted = add(filtered[0], scale(robot.drive.T_s, filtered[1]))
+    innovation = sub(measured, predicted)
+    force, rate = add(predicted, scale(gain, innovation)), add(filtered[1], scale(rate_gain, innovation))
+    return force, (force, rate)
