@@ -81,7 +81,7 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
     from jaxmpc import Params
     from jaxmpc.engine.blocks import over_blocks
     from jaxmpc.engine.rollout import scalars
-    from jaxmpc.evaluation import design_and_margins
+    from jaxmpc.evaluation import designed
     from jaxmpc.scene import run_cells, scene_of, world_of
 
     rows = size * jax.local_device_count()
@@ -89,10 +89,10 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
     params = Params().with_columns({"Q_p": np.geomspace(0.3, 0.6, rows), "Khat_s": np.linspace(850.0, 950.0, rows)})
 
     def apart(p: Params) -> Any:
-        gains, contacts, _ = design_and_margins(p, scene, ideal=False)
-        return scalars(gains, False), p.K2, contacts
+        gains, contacts, _ = designed(p, scene, ideal=False)
+        return jax.vmap(lambda g: scalars(g, False))(gains), p.K2, contacts
 
-    batch = jax.tree.map(np.asarray, jax.jit(jax.vmap(apart))(params))
+    batch = jax.tree.map(np.asarray, jax.jit(apart)(params))
 
     engine = over_blocks(lambda b, s: run_cells(world, *b, s, dtype).metrics.rms, size)
     began = time.perf_counter()

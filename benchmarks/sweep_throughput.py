@@ -50,7 +50,7 @@ def main() -> None:
     from jaxmpc import Experiment, Params, evaluate
     from jaxmpc.engine.blocks import over_blocks
     from jaxmpc.engine.rollout import scalars
-    from jaxmpc.evaluation import design_and_margins, evaluate_block
+    from jaxmpc.evaluation import designed, evaluate_block
     from jaxmpc.scene import scene_of, world_of
 
     experiment = Experiment.published("table-1")
@@ -59,10 +59,10 @@ def main() -> None:
     batch = Params().with_columns({"Q_p": np.geomspace(0.1, 1.0, rows), "Khat_s": np.linspace(800.0, 1000.0, rows)})
 
     def apart(p: Params) -> Any:
-        gains, contacts, _ = design_and_margins(p, scene, ideal=True)
-        return scalars(gains, False), contacts
+        gains, contacts, _ = designed(p, scene, ideal=True)
+        return jax.vmap(lambda g: scalars(g, False))(gains), contacts
 
-    peers = jax.tree.map(np.asarray, jax.jit(jax.vmap(apart))(batch))
+    peers = jax.tree.map(np.asarray, jax.jit(apart)(batch))
     brief = msgspec.structs.replace(experiment, duration=4.0, settle=3.0)
     found = evaluate(batch[:8], brief).metrics
     loop = numpy_loop(*first_rows(peers, 8), scene_of(brief), np.float64)

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxmpc.disturbance import RECORD, Peaks, disturbance, peaks, power_spectral_density
 from jaxmpc.experiment import AXES, Experiment
-from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
+from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure, outline
 from jaxmpc.status import Status
 
 if TYPE_CHECKING:
@@ -67,13 +67,15 @@ def experiment_figure(
     with figure(path, rows=5, size=(8.0, 9.6)) as axes:
         top, applied, *panels = axes
         for axis, colour in enumerate(COLOURS):
-            top.plot(t, felt[axis], color=colour, lw=0.9, label=AXES[axis].upper())
-            applied.plot(t, force[axis], color=colour, lw=0.9, label=AXES[axis].upper())
-            applied.plot(t, wanted[axis], color="black", lw=0.9, ls="--", label="wanted" if axis == 2 else None)
+            top.plot(*outline(t, felt[axis]), color=colour, lw=0.9, label=AXES[axis].upper())
+            applied.plot(*outline(t, force[axis]), color=colour, lw=0.9, label=AXES[axis].upper())
+            applied.plot(
+                *outline(t, wanted[axis]), color="black", lw=0.9, ls="--", label="wanted" if axis == 2 else None
+            )
             panel, counts = panels[axis], scored[:, axis]
             rms = [1e3 * np.sqrt(np.mean(x[axis, counts] ** 2)) for x in (residual, quiet)]
-            panel.plot(t, residual[axis], color=colour, lw=0.6, label=f"Heartbox on, RMS {rms[0]:.0f} mN")
-            panel.plot(t, quiet[axis], color="black", lw=0.5, label=f"Heartbox off, RMS {rms[1]:.0f} mN")
+            panel.plot(*outline(t, residual[axis]), color=colour, lw=0.6, label=f"Heartbox on, RMS {rms[0]:.0f} mN")
+            panel.plot(*outline(t, quiet[axis]), color="black", lw=0.5, label=f"Heartbox off, RMS {rms[1]:.0f} mN")
             panel.set_ylabel(f"residual {AXES[axis].upper()} [N]")
             panel.set_ylim(-bound, bound)
             panel.legend(ncols=2, loc="upper right", borderaxespad=0.1)

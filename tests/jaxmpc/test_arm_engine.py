@@ -17,7 +17,7 @@ from jaxmpc import Experiment, Params, Status, design, evaluate
 from jaxmpc.engine.accelerate import implicit
 from jaxmpc.engine.arm_rollout import Cell, Program, start
 from jaxmpc.engine.rollout import HIGHEST_FORCE, scalars
-from jaxmpc.evaluation import _evaluate
+from jaxmpc.evaluation import _ran
 from jaxmpc.law.cascade import Gains
 from jaxmpc.scene import Scene, World, as_dtype, run_cells, scene_of, side_by_side, world_of
 from jaxmpc.synthesis import design_one
@@ -137,7 +137,7 @@ def test_the_printed_design_on_foam_is_a_status() -> None:
 def test_numbers_of_the_arm_compile_nothing_new() -> None:
     """And they are felt: the residuals differ."""
     before = np.asarray(table_one().metrics.rms)[0]
-    programs = _evaluate.programs
+    programs = _ran.programs
     changes: list[dict[str, Any]] = [
         {
             "arm": {
@@ -162,7 +162,7 @@ def test_numbers_of_the_arm_compile_nothing_new() -> None:
         rms = np.asarray(evaluate(BOTH, changed(TABLE, **change)).metrics.rms)[0]
         assert np.isfinite(rms).all(), change
         assert (rms != before).all(), change
-    assert _evaluate.programs == programs
+    assert _ran.programs == programs
 
 
 def test_an_arm_that_runs_away_is_a_status_with_its_time() -> None:

@@ -13,7 +13,7 @@ import scipy.signal
 from jaxmpc import Experiment, InputError, Params, Status, design, evaluate
 from jaxmpc.engine.cells import over_cells
 from jaxmpc.engine.rollout import run, scalars
-from jaxmpc.evaluation import design_and_margins
+from jaxmpc.evaluation import designed
 from jaxmpc.scene import scene_of
 from jaxmpc.world.contact import hertz
 
@@ -127,8 +127,9 @@ def residual(experiment: Experiment) -> Callable[[jax.Array], jax.Array]:
 
     def total(x: jax.Array) -> jax.Array:
         params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))
-        gains, contacts, _ = design_and_margins(params, scene, experiment.damping == "ideal")
-        batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (scalars(gains, False), contacts))
+        one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], params)
+        gains, contacts, _ = designed(one, scene, ideal=experiment.damping == "ideal")
+        batch = jax.vmap(lambda g: scalars(g, False))(gains), contacts
         return jnp.sum(over_cells(run, *batch, scene.lsb, scene.signals)[0].rms)
 
     return jax.jit(total)
