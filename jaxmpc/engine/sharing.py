@@ -63,7 +63,8 @@ def _bind(jaxpr: Any, equation: Any, value_of: Callable[[Any], Any]) -> list[Any
     """One operation; by JAX's own evaluator if it holds a program, whose form is JAX's affair."""
     if any(isinstance(value, Jaxpr | ClosedJaxpr) for value in equation.params.values()):
         names = list(dict.fromkeys(var for var in equation.invars if not isinstance(var, Literal)))
-        alone = Jaxpr((), names, equation.outvars, [equation], jaxpr.effects)
+        about = jaxpr.debug_info.with_unknown_names()
+        alone = Jaxpr((), names, equation.outvars, [equation], jaxpr.effects, debug_info=about)
         return list(jaxpr_as_fun(ClosedJaxpr(alone, ()))(*map(value_of, names)))
     found = equation.primitive.bind(*map(value_of, equation.invars), **equation.params)
     return list(found) if equation.primitive.multiple_results else [found]

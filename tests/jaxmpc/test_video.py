@@ -212,6 +212,8 @@ def test_still_shows_arm_and_heart(picture):
     assert np.nonzero(sensor)[0].mean() < np.nonzero(heart)[0].mean()
 
 
+# JAX, which other tests have started, warns of every fork; ffmpeg's runs nothing of ours.
+@pytest.mark.filterwarnings(r"ignore:os\.fork\(\) was called:RuntimeWarning")
 def test_film_has_its_frames_and_size(tmp_path):
     t = np.arange(0.0, 0.5, 1e-3)
     zero = np.zeros((len(t), 3))

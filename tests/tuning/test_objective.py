@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmpc.scene import world_of
 from tuning import TuneSpec
 from tuning.objective import Data, Kind, Values, look, scene_over_seeds, soft_worst
 from tuning.optimise import looker, optimiser
@@ -58,7 +59,7 @@ def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
     }
     spec = TuneSpec.from_dict(small(experiment=QUIET, goals=goals))
     scene = scene_over_seeds(spec.experiment, (0,), 0.4, 0.1)
-    kind = Kind(spec.space.axes, ideal_goals=False, ideal_run=True, preview=False, precision="float64")
+    kind = Kind(spec.space.axes, ideal_goals=False, world=world_of(spec.experiment), precision="float64")
     data = jax.tree.map(jnp.asarray, Data(scene, spec.params, dict(spec.goals)))
     direction = np.random.default_rng(0).standard_normal(spec.space.size)
     forward = jax.jit(lambda z: jax.jvp(lambda z: look(z, data, 3.0, kind)[0], (z,), (jnp.tile(direction, (4, 1)),)))
