@@ -4,6 +4,8 @@ import os
 from importlib.util import find_spec
 
 if find_spec("jax"):
+    # What another run compiled would hide what this one does, and the user's cache is not ours to fill.
+    os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
     import jax
 
     if jax.__version_info__ < (0, 11):

@@ -125,7 +125,9 @@ def test_closed_form_response_is_that_of_the_independent_loop(
 NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 
 
-@pytest.mark.parametrize(("ideal", "mode"), [(True, "reverse"), (False, "reverse"), (False, "forward")])
+@pytest.mark.parametrize(
+    ("ideal", "mode"), [pytest.param(True, "reverse", marks=pytest.mark.slow), (False, "reverse"), (False, "forward")]
+)
 def test_gradient_of_every_margin_is_the_central_difference(ideal: bool, mode: str) -> None:
     point = jnp.log(jnp.array([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0]))
 

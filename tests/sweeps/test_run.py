@@ -266,6 +266,7 @@ def finish(process: "subprocess.Popen[str]") -> str:
     return found[1]
 
 
+@pytest.mark.slow
 def test_kill_9_and_the_number_of_cores_change_no_bit(
     write_spec: Callable[[str], Path], spec_text: str, tmp_path: Path
 ) -> None:

@@ -48,6 +48,7 @@ def test_reverse_gradient_is_the_central_difference_for_every_parameter(small: J
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
 
 
+@pytest.mark.slow
 def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
     goals = {
         "M_s": 1.1,

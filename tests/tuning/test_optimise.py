@@ -111,6 +111,7 @@ def bar(result: Any) -> None:
     assert result.gain >= 0.25
 
 
+@pytest.mark.slow
 def test_a_short_run_meets_the_bar(small: Job) -> None:
     bar(tune(TuneSpec.from_dict(small(tune={"steps": 60, "seed": 2}))))
 

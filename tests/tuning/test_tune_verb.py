@@ -86,6 +86,7 @@ def test_a_wrong_spec_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_comparison_is_that_of_the_public_functions(spec: TuneSpec) -> None:
     unstable = Params(Khat_s=200.0)
     rms, found = compare(Params.stack([spec.params, unstable]), spec.experiment, (1000, 1001))
