@@ -15,7 +15,8 @@ from jaxmpc.law.scalar import Vector
 from jaxmpc.world import drive as drives
 from jaxmpc.world.arm import TOOL_MASS, joint_ranges, link_inertias, posture_at, tip_at
 from jaxmpc.world.friction import Friction
-from jaxmpc.world.robot import Cable, Kind, Robot, Sensor
+from jaxmpc.world.robot import Cable, Kind, Robot
+from jaxmpc.world.sensor import Sensor
 from jaxmpc.world.tissue import KINDS, Tissue
 
 if TYPE_CHECKING:

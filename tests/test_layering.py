@@ -24,6 +24,7 @@ ON_ROBOT = (
     "jaxmpc.world.drive",
     "jaxmpc.world.friction",
     "jaxmpc.world.robot",
+    "jaxmpc.world.sensor",
     "jaxmpc.world.tissue",
 )
 ROBOT_MAY_IMPORT = ("can", "numpy", *ON_ROBOT)

@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
+from jax.extend.core import Jaxpr, Literal, jaxpr_as_fun
 
 COPIED = 25
 """Operations that may be copied rather than shared: below, memory costs more than arithmetic (measured)."""
@@ -29,20 +29,21 @@ def sharing(function: Callable[..., Any], one: Any) -> Callable[..., Any]:
 
     def run(*arguments: Any) -> Any:
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        leaves = _evaluate(closed.jaxpr, closed.consts, jax.tree.leaves(arguments), one)
+        leaves = _evaluate(closed, jax.tree.leaves(arguments), one)
         return jax.tree.unflatten(jax.tree.structure(shape), leaves)
 
     return run
 
 
-def _evaluate(jaxpr: Any, consts: Any, arguments: Any, one: Any) -> list[Any]:
+def _evaluate(closed: Any, arguments: Any, one: Any) -> list[Any]:
     """Run a program operation by operation, sharing what is used twice and took more than `COPIED` of them."""
+    jaxpr = closed.jaxpr
     uses: dict[Any, int] = {}
     for consumer in (*(equation.invars for equation in jaxpr.eqns), jaxpr.outvars):
         for var in consumer:
             if not isinstance(var, Literal):
                 uses[var] = uses.get(var, 0) + 1
-    values: dict[Any, Any] = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*consts, *arguments), strict=True))
+    values: dict[Any, Any] = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*closed.consts, *arguments), strict=True))
     cost: dict[Any, int] = {}
 
     def value_of(var: Any) -> Any:
@@ -52,19 +53,19 @@ def _evaluate(jaxpr: Any, consts: Any, arguments: Any, one: Any) -> list[Any]:
         inputs = [var for var in equation.invars if not isinstance(var, Literal)]
         cheap = equation.primitive.name in CHEAP
         total = 1 + sum(cost.get(var, 0) for var in inputs) if cheap else 0
-        for var, value in zip(equation.outvars, _bind(jaxpr, equation, value_of), strict=True):
+        for var, value in zip(equation.outvars, _bind(closed, equation, value_of), strict=True):
             values[var], cost[var] = value, total
             if total > COPIED and uses.get(var, 0) > 1 and jnp.issubdtype(value.dtype, jnp.floating):
                 values[var], cost[var] = value / one.astype(value.dtype), 0
     return [value_of(var) for var in jaxpr.outvars]
 
 
-def _bind(jaxpr: Any, equation: Any, value_of: Callable[[Any], Any]) -> list[Any]:
+def _bind(closed: Any, equation: Any, value_of: Callable[[Any], Any]) -> list[Any]:
     """One operation; by JAX's own evaluator if it holds a program, whose form is JAX's affair."""
-    if any(isinstance(value, Jaxpr | ClosedJaxpr) for value in equation.params.values()):
+    if any(isinstance(value, Jaxpr | type(closed)) for value in equation.params.values()):
         names = list(dict.fromkeys(var for var in equation.invars if not isinstance(var, Literal)))
-        about = jaxpr.debug_info.with_unknown_names()
-        alone = Jaxpr((), names, equation.outvars, [equation], jaxpr.effects, debug_info=about)
-        return list(jaxpr_as_fun(ClosedJaxpr(alone, ()))(*map(value_of, names)))
+        about = closed.jaxpr.debug_info.with_unknown_names()
+        alone = Jaxpr((), names, equation.outvars, [equation], closed.jaxpr.effects, debug_info=about)
+        return list(jaxpr_as_fun(closed.replace(jaxpr=alone, consts=[]))(*map(value_of, names)))
     found = equation.primitive.bind(*map(value_of, equation.invars), **equation.params)
     return list(found) if equation.primitive.multiple_results else [found]

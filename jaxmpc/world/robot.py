@@ -31,8 +31,8 @@ from jaxmpc.law.scalar import (
 )
 from jaxmpc.world import drive as drives
 from jaxmpc.world import friction as frictions
+from jaxmpc.world import sensor as sensors
 from jaxmpc.world import tissue as tissues
-from jaxmpc.world.contact import quantise
 
 _NONE = (0.0, 0.0, 0.0, 0.0)
 
@@ -63,19 +63,6 @@ class Cable(NamedTuple):
     """[N m s/rad]"""
 
 
-class Sensor(NamedTuple):
-    """The force sensor at the tip."""
-
-    pole: Scalar
-    """Of its low-pass [-]; 0 passes everything."""
-    lsb: Vector
-    """Least significant bit per axis [N]; 0 is a perfect one."""
-    tool_mass: Scalar
-    """Mass beyond the sensor, whose inertia it reads [kg]; its weight is tared."""
-    kalman: tuple[Scalar, Scalar]
-    """Steady gains of the force filter: force [-] and force rate [1/s]."""
-
-
 class Robot(NamedTuple):
     """The arm and what it touches; each scalar may be a batch."""
 
@@ -86,7 +73,7 @@ class Robot(NamedTuple):
     cable: Cable
     tool_mass: Scalar
     """Point mass at the tip beyond the MJCF's tool [kg]."""
-    sensor: Sensor
+    sensor: sensors.Sensor
     tissue: tissues.Tissue
     nominal: Nominal
     posture: Vector
@@ -119,12 +106,7 @@ class State(NamedTuple):
     """Presliding of the joint friction, normalised [-]."""
     tissue: Any
     drive: drives.DriveState
-    force: Vector
-    """Filtered force [N]."""
-    filtered: Any
-    """Force and force rate of the Kalman filter, where there is one; else ()."""
-    tip_velocity: Any
-    """At the last sample, where the sensor reads inertia; else () [m/s]."""
+    sensor: sensors.SensorState
     pending: tuple[Vector, Vector]
     """Torques of the last two samples, newest first [N m]."""
 
@@ -161,7 +143,7 @@ def factored(
 def init(chain: Chain, kind: Kind, robot: Robot, like: Scalar, ops: Any) -> State:
     """The arm at rest in its posture, held against gravity, touching without force; numbers in the form of `like`."""
     zero = 0.0 * like
-    four, three = (zero,) * 4, (zero,) * 3
+    four = (zero,) * 4
     loaded = arm.with_point_mass(chain, robot.tool_mass)
     held = add(arm.inverse_dynamics(loaded, arm.pose(loaded, robot.posture, ops), _NONE, _NONE), four)
     motor: Any = ()
@@ -176,9 +158,7 @@ def init(chain: Chain, kind: Kind, robot: Robot, like: Scalar, ops: Any) -> Stat
         frictions.init(zero),
         tissues.init(kind.tissue, zero),
         drives.DriveState(add(drives.read(robot.drive, start, ops), four), four),
-        three,
-        (three, three) if kind.kalman else (),
-        three if kind.tool_inertia else (),
+        sensors.init(kind.kalman, kind.tool_inertia, zero),
         (held, held),
     )
 
@@ -212,20 +192,9 @@ def sense(
         sub(velocity, heart.velocity),
         ops,
     )
-    read, remembered = true, state.tip_velocity
-    if kind.tool_inertia:
-        read = add(true, scale(robot.sensor.tool_mass / robot.drive.T_s, sub(velocity, remembered)))
-        remembered = velocity
-    force = tuple(now + robot.sensor.pole * (before - now) for now, before in zip(read, state.force, strict=True))
-    measured = tuple(
-        ops.where(lsb > 0.0, quantise(value + error, ops.where(lsb > 0.0, lsb, 1.0), ops.floor), value + error)
-        for value, error, lsb in zip(force, noise, robot.sensor.lsb, strict=True)
-    )
-    filtered = state.filtered
-    if kind.kalman:
-        measured, filtered = _kalman(robot, filtered, measured)
+    measured, sensor = sensors.read(robot.sensor, state.sensor, true, velocity, noise, robot.drive.T_s, ops)
     seen = drives.measure(robot.drive, state.drive, state.motor[0] if kind.cable else state.q, ops)
-    return measured, tip, state._replace(drive=seen, force=force, filtered=filtered, tip_velocity=remembered)
+    return measured, tip, state._replace(drive=seen, sensor=sensor)
 
 
 def move(
@@ -301,12 +270,3 @@ def _substep(
         qdd = advance(chain, at, qd, add(driven, loaded), robot.tool_mass, robot.viscous, share, ops)
     qd = add(qd, scale(h, qdd))
     return state._replace(q=add(at, scale(h - lead, qd)), qd=qd, motor=motor, bristles=bristles, tissue=relaxed)
-
-
-def _kalman(robot: Robot, filtered: tuple[Vector, Vector], measured: Vector) -> tuple[Vector, tuple[Vector, Vector]]:
-    """Force and force rate by a steady Kalman filter whose model is a constant rate."""
-    gain, rate_gain = robot.sensor.kalman
-    predicted = add(filtered[0], scale(robot.drive.T_s, filtered[1]))
-    innovation = sub(measured, predicted)
-    force, rate = add(predicted, scale(gain, innovation)), add(filtered[1], scale(rate_gain, innovation))
-    return force, (force, rate)

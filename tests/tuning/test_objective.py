@@ -70,6 +70,7 @@ def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_full_diagonals_have_a_gradient_per_entry(small: Job) -> None:
     free = {"lam": True, "delta": True, "Khat_s": True}
     tune = {"free": free, "diagonals": ["lam", "delta"], "duration": 0.4, "settle": 0.1}

@@ -45,6 +45,7 @@ def test_a_gradient_that_is_not_finite_moves_only_the_others() -> None:
         np.testing.assert_array_equal(new[1], old[1])
 
 
+@pytest.mark.slow
 def test_a_feasible_start_is_improved(small: Job) -> None:
     state = descend(TuneSpec.from_dict(small(goals={"M_s": 6.0})), None, show=False)
     assert np.isfinite(state.incumbent[0])
@@ -58,6 +59,7 @@ def same(one: State, other: State) -> None:
             np.testing.assert_array_equal(a, b, err_msg=field.name)
 
 
+@pytest.mark.slow
 def test_a_killed_run_continues_to_the_same_bits(
     spec: TuneSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
