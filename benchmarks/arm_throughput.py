@@ -19,7 +19,7 @@ from benchmarks.sweep_throughput import fastest, machine
 from jaxmpc.cli.setup import use_all_cores
 
 SECONDS = 4.0
-BLOCKS = (64, 256, 1024)
+BLOCKS = (256, 512, 1024)
 
 
 def main() -> None:
@@ -42,7 +42,7 @@ def main() -> None:
     for physics, dtype, sizes in (
         ("wam", "float32", blocks),
         ("wam", "float64", blocks),
-        ("mjx", "float32", blocks[1:2]),
+        ("mjx", "float32", blocks[:1]),
     ):
         for size in sizes:
             rate, compiled = engine_rate(msgspec.structs.replace(experiment, physics=physics), dtype, size)
