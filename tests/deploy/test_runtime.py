@@ -82,19 +82,30 @@ def test_wrong_number_of_forces_is_refused_and_changes_nothing(arguments):
     assert runtime.step((1.0, 2.0, 3.0), (0.0,) * 3) == other.step((1.0, 2.0, 3.0), (0.0,) * 3)
 
 
+def straight_line(operations):
+    """A Python function of so many operations, half of them multiplications."""
+    space = {}
+    exec("def run(x):\n" + "    x = x * 0.5 + 1.0\n" * (operations // 2) + "    return x\n", space)
+    return space["run"]
+
+
 @pytest.mark.parametrize("preview", [False, True])
-def test_one_step_of_three_axes_takes_at_most_15_us(arguments, law, preview):
+def test_a_step_costs_no_more_than_its_operations(arguments, law, preview):
+    """Its absolute time is what `jaxmpc check` prints; here only a ratio within one run means anything."""
     golden = law.trace(law.gains, 2, preview)
     runtime = Runtime(make(arguments, golden=golden, preview=preview))
     force, force_ref = golden[0][1].tolist(), golden[1][1].tolist()
-    took = []
-    for _ in range(100_000):
+    plain = straight_line(3 * runtime.recorded.operations)
+    took, floor = [], []
+    for _ in range(20_000):
         start = time.perf_counter_ns()
         runtime.step(force, force_ref)
-        took.append(time.perf_counter_ns() - start)
-    took.sort()
-    median, p99 = statistics.median(took) / 1e3, took[99_000] / 1e3
-    assert median <= 15.0, f"median {median:.2f} µs, p99 {p99:.2f} µs, {runtime.recorded.operations} operations"
+        middle = time.perf_counter_ns()
+        plain(1.0)
+        took.append(middle - start)
+        floor.append(time.perf_counter_ns() - middle)
+    # Measured 0.8; what allocates or looks up more than its operands shows.
+    assert statistics.median(took) <= 1.5 * statistics.median(floor)
 
 
 def test_replay_sees_a_gain_that_changed_by_a_millionth(arguments, law):
