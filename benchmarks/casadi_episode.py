@@ -24,7 +24,7 @@ class Ops:
     """Scalar functions on CasADi expressions and plain numbers."""
 
     sin, cos, exp, sqrt, floor = casadi.sin, casadi.cos, casadi.exp, casadi.sqrt, casadi.floor
-    minimum, maximum = casadi.fmin, casadi.fmax
+    maximum = casadi.fmax
 
     @staticmethod
     def where(condition: Any, a: Any, b: Any) -> Any:

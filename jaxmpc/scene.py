@@ -92,7 +92,7 @@ def side_by_side(scenes: list[Scene]) -> Scene:
 
 
 def run_cells(
-    world: World, gains: Gains, K2: Any, contacts: Contact, scene: Scene, dtype: Any, traced: bool = False
+    world: World, gains: Gains, K2: Any, contacts: Contact | None, scene: Scene, dtype: Any, traced: bool = False
 ) -> Ran:
     """Every controller on every tissue, axis and motion; traceable.
 
@@ -100,7 +100,7 @@ def run_cells(
         world: The structure.
         gains: Taken apart into scalars, each (controllers,).
         K2: Damping, (controllers,) [1/s].
-        contacts: The linear worlds, (controllers, stiffness).
+        contacts: The linear worlds, (controllers, stiffness); the arm needs none.
         scene: The data.
         dtype: Precision of the time stepping.
         traced: Keep every sample.

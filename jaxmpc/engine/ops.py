@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 exp, sqrt, where = jnp.exp, jnp.sqrt, jnp.where
-minimum, maximum = jnp.minimum, jnp.maximum
+maximum = jnp.maximum
 
 
 @jax.custom_jvp

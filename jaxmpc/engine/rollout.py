@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxmpc.engine import ops
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
 from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, nothing
@@ -57,17 +58,6 @@ class Carry(NamedTuple):
     contact: world.ContactState
 
 
-@jax.custom_jvp
-def straight_through_floor(value: Array) -> Array:
-    """Floor whose tangent is that of the identity: the true one is zero and would hide the loop from a tuner."""
-    return jnp.floor(value)
-
-
-@straight_through_floor.defjvp
-def _floor_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Array, Array]:
-    return jnp.floor(primals[0]), tangents[0]
-
-
 def scalars(gains: Gains, preview: bool) -> Gains:
     """Gains with every vector taken apart into scalars, as the law's inner loop wants them."""
     apart = Gains(*(tuple(field) if jnp.ndim(field) == 1 else field for field in gains))
@@ -93,7 +83,7 @@ def advance(gains: Gains, contact: Contact, lsb: Scalar, carry: Carry, signals: 
     """
     clean, state = world.sense(contact, carry.contact, signals.heart)
     noisy = clean + signals.noise
-    quantised = world.quantise(noisy, jnp.where(lsb > 0.0, lsb, 1.0), straight_through_floor)
+    quantised = world.quantise(noisy, jnp.where(lsb > 0.0, lsb, 1.0), ops.floor)
     force = jnp.where(lsb > 0.0, quantised, noisy)
     controller, v = cascade.step(gains, carry.controller, force, tuple(signals.force_ref))
     tip = state.x

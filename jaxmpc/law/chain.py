@@ -48,8 +48,6 @@ class Chain(NamedTuple):
     links: tuple[Link, ...]
     armature: Vector
     """Drive inertia reflected to the joints [kg m²]."""
-    damping: Vector
-    """Viscous friction of the joints [N m s/rad]."""
     tip: Vector
     """Tip in the last link's frame [m]."""
     gravity: Vector

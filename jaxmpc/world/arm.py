@@ -63,7 +63,6 @@ def chain() -> Chain:
     return Chain(
         tuple(links),
         _vector(compiled.dof_armature[dofs]),
-        _vector(compiled.dof_damping[dofs]),
         _vector(at),
         _vector(compiled.opt.gravity),
     )

@@ -62,7 +62,7 @@ HARD = changed(
 
 @partial(jax.jit, static_argnames=("world", "traced"))
 def cells(world: World, gains: Gains, K2: Any, scene: Scene, traced: bool) -> Any:
-    return run_cells(world, gains, K2, None, scene, "float64", traced)  # type: ignore[arg-type]
+    return run_cells(world, gains, K2, None, scene, "float64", traced)
 
 
 def check_parity(experiment: Experiment) -> None:
@@ -239,7 +239,7 @@ def residuals(points: jax.Array, scene: Scene) -> jax.Array:
         params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))
         return scalars(design_one(params, scene.T_s)[0], False), params.K2
 
-    ran = run_cells(world_of(SHORT), *jax.vmap(gains_of)(points), None, scene, "float64")  # type: ignore[arg-type]
+    ran = run_cells(world_of(SHORT), *jax.vmap(gains_of)(points), None, scene, "float64")
     return jnp.mean(ran.metrics.rms, axis=(1, 2))
 
 
@@ -301,7 +301,7 @@ def descents() -> tuple[Callable[..., Any], Any, Any, int]:
     K2 = jnp.full(64, 10.0)
 
     def loss(gains: Gains) -> jax.Array:
-        return jnp.sum(run_cells(world, gains, K2, None, scene, "float64").metrics.rms)  # type: ignore[arg-type]
+        return jnp.sum(run_cells(world, gains, K2, None, scene, "float64").metrics.rms)
 
     carry = jax.eval_shape(lambda gains: start(program, Cell(gains, K2, on_tissue)), gains)
     held = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(carry))

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 
 from jaxmpc import Experiment, InputError
 from jaxmpc.arm_settings import Arm, TissueSettings, robot_of, softening
-from jaxmpc.world.arm import TOOL_MASS, joint_ranges, link_inertias, tip_at
+from jaxmpc.world.arm import JOINTS, TOOL_MASS, joint_ranges, link_inertias, model, tip_at
 
 WAM = 'physics = "wam"\n'
 
@@ -142,3 +142,10 @@ def test_changes_of_the_tissue_come_one_after_the_other() -> None:
     found: TissueSettings = Experiment.from_dict({"tissue": tissue}).tissue
     at = softening(found, np.array([0.0, 1.0, 1.1, 1.2, 1.999, 2.0, 3.0]))
     np.testing.assert_allclose(at, [1.0, 1.0, 2.5, 4.0, 4.0, 0.5, 0.5])
+
+
+def test_defaults_are_those_of_the_model_file() -> None:
+    compiled = model()
+    dofs = [int(compiled.joint(joint).dofadr[0]) for joint in JOINTS]
+    np.testing.assert_array_equal(compiled.dof_damping[dofs], Arm().viscous)
+    assert compiled.body("tool").mass == Arm().tool_mass == TOOL_MASS
