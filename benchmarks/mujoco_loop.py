@@ -158,7 +158,8 @@ def run(
     force, a, v_cmd, moved = (np.zeros((steps, 3)) for _ in range(4))
     angles, commands = np.zeros((steps, 4)), np.zeros((steps + loop.delay, 4))
     commands[: loop.delay] = data.qfrc_bias[:4]  # until the first command arrives, gravity is held
-    start, xdot_before, filtered, bristle = tip.copy(), np.zeros(3), np.zeros(3), np.zeros(4)
+    start, xdot_before, filtered = tip.copy(), np.zeros(3), np.zeros(3)
+    bristle, believed = np.zeros(4), np.zeros(4)
     cascade, arm, K2 = Cascade(gains), NominalArm(model, loop), float(gains.K2)
     T, T_inverse = JOINT_TO_MOTOR, np.linalg.inv(JOINT_TO_MOTOR)
     limit, coulomb = np.array(loop.torque_limit) / IPNM, np.array(loop.coulomb)
@@ -189,6 +190,7 @@ def run(
         q_m = T_inverse @ quantise(T @ q, encoder_lsb) if loop.encoder_counts else angles[k]
         raw = (q_m - q_before) / T_s
         v_f = raw + velocity_pole * (v_f - raw)
+        slid = q_m - q_before
         q_before = q_m
         # 3. Cascade and damping.
         v_cmd[k] = cascade.step(measured, force_ref[k])
@@ -200,8 +202,8 @@ def run(
         tip_force = dposv(J_m @ M_inverse_JT, a[k] - Jdot_v - J_m @ qdd_0)[1] + measured
         torque = M @ qdd_0 + tip_force @ J_m + bias
         if loop.compensation != 0.0:
-            sign = v_f / np.sqrt(v_f * v_f + 0.02**2)
-            torque += loop.compensation * (nominal_coulomb * sign + nominal_damping * v_f)
+            believed = (believed + slid / BRISTLE) / (1.0 + np.hypot(slid, 1e-7) / BRISTLE)
+            torque += loop.compensation * (nominal_coulomb * believed + nominal_damping * v_f)
         # 5. Drives. What the clamp takes away at the tip, J M⁻¹ Δτ, the observer must know.
         wanted = torque @ T_inverse
         motor = np.minimum(np.maximum(wanted, -limit), limit)

@@ -26,7 +26,7 @@ def numpy_loop(gains: Gains, contacts: Contact, scene: Scene, dtype: Any) -> np.
         dtype: Of the arrays.
 
     Returns:
-        Metrics in the order of `Metrics`, shape (5, stiffness, axis, controller).
+        Metrics in the order of `Metrics`, shape (6, stiffness, axis, controller).
     """
     shape = (len(np.asarray(scene.stiffness)), 3, len(np.asarray(gains.mpc_u)))
 
@@ -112,9 +112,8 @@ def numpy_loop(gains: Gains, contacts: Contact, scene: Scene, dtype: Any) -> np.
         chatter += two
         v_before[:] = v
     samples = np.maximum(score[0].sum(), 1)
-    return np.stack(
-        [np.sqrt(squares / samples), highest - lowest, np.sqrt(effort / samples), np.sqrt(chatter / samples), peak]
-    )
+    rms, asked, change = (np.sqrt(total / samples) for total in (squares, effort, chatter))
+    return np.stack([rms, highest - lowest, asked, change, peak, np.maximum(highest, -lowest)])
 
 
 def loop_system(gains: Gains, contact: Contact) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -11,14 +11,15 @@ import numpy as np
 from deploy import floor as margin_floor
 from deploy.runtime import replay
 from jaxmpc.errors import InputError
-from jaxmpc.law.cascade import Gains, constant_reference
+from jaxmpc.law.cascade import Gains, constant_reference, order
 from jaxmpc.sealed import LARGEST, SealError, canonical_json, seal, unseal
 
 SCHEMA, VERSION, KIND = "jaxmpc controller", 1, "linear"
 TOLERANCE = 1e-9
 """Largest deviation from the golden trace at load [-]; `deploy.runtime.replay` says why."""
 GAIN_SHAPES: Mapping[str, tuple[int | None, ...]] = {
-    "phi": (2,), "gamma": (2,), "K": (4,), "L": (3,), "input_gain": (), "mpc_ref": (None,), "mpc_x": (2,), "mpc_u": (),
+    "phi": (2,), "gamma": (2,), "K": (None,), "L": (3,), "input_gain": (),
+    "mpc_ref": (None,), "mpc_x": (2,), "mpc_u": (),
 }  # fmt: skip
 GOLDEN = ("golden_force", "golden_force_ref", "golden_v")
 HEADER = ("gains", "T_s", "K2", "preview", "params", "margins", "floor", "provenance")
@@ -65,6 +66,8 @@ class Artifact:
         arrays = {name: _array(name, getattr(self.gains, name), shape) for name, shape in GAIN_SHAPES.items()}
         plain = {name: array.tolist() for name, array in arrays.items()}
         gains = Gains(**{name: tuple(value) if isinstance(value, list) else value for name, value in plain.items()})
+        if not 1 <= order(gains) <= 3:
+            raise InputError("K", f"{len(gains.K)} numbers", "4 to 6", "The disturbance order is 1, 2 or 3.")
         _array("sum of mpc_ref", constant_reference(gains).mpc_ref, (1,))
         if not isinstance(self.preview, bool):
             raise InputError("preview", self.preview, "true or false", "Say whether the future reference is known.")

@@ -29,7 +29,7 @@ class Runtime:
             artifact: What `deploy.artifact.load` returned.
         """
         gains = artifact.gains if artifact.preview else cascade.constant_reference(artifact.gains)
-        horizon = len(gains.mpc_ref)
+        horizon, self._order = len(gains.mpc_ref), cascade.order(gains)
 
         def law(states: Any, applied: Any, force: Any, force_ref: Any) -> Any:
             axes = [
@@ -39,14 +39,14 @@ class Runtime:
             return tuple(state for state, _ in axes), tuple(v for _, v in axes)
 
         axis_ref = (0.0,) * horizon if artifact.preview else 0.0
-        self.recorded = record(law, ((cascade.init(),) * 3, (0.0,) * 3, (0.0,) * 3, (axis_ref,) * 3))
+        self.recorded = record(law, ((cascade.init(0.0, self._order),) * 3, (0.0,) * 3, (0.0,) * 3, (axis_ref,) * 3))
         self._law = self.recorded.function
         self.init((0.0, 0.0, 0.0))
 
     def init(self, force: Sequence[float] | np.ndarray) -> None:
         """Start at rest, in contact with a measured force (3,) [N]."""
         x, y, z = _plain(force)
-        self._states: Any = (cascade.init(x), cascade.init(y), cascade.init(z))
+        self._states: Any = tuple(cascade.init(each, self._order) for each in (x, y, z))
         self._applied: Triple = (0.0, 0.0, 0.0)
 
     def step(

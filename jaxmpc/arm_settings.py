@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc.errors import InputError
+from jaxmpc.law.compensation import Believed
 from jaxmpc.law.computed_torque import Nominal
 from jaxmpc.law.scalar import Vector
 from jaxmpc.world import drive as drives
@@ -83,6 +84,12 @@ class Arm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Viscous friction of the joints [N m s/rad] (OWD; the other published row is 1.63, 2.372, 0.8554, 0.6153)."""
     compensation: Share = 0.0
     """Share of the friction that the controller compensates [-]."""
+    believed_coulomb: Joints | None = None
+    """Coulomb friction of which it compensates that share [N m]; none is the true one."""
+    believed_viscous: Joints | None = None
+    """Viscous friction of which it compensates that share [N m s/rad]; none is the true one."""
+    believed_presliding: Annotated[float, msgspec.Meta(ge=1e-5, le=0.1)] | None = None
+    """Deflection at which it believes friction to be fully there [rad]; none is the true one."""
     mass_error: Annotated[float, msgspec.Meta(gt=-0.9, le=1.0)] = -0.1
     """Relative error of the masses and inertias that the controller believes [-]."""
     tool_mass_error: Kilogram = 0.0
@@ -124,7 +131,8 @@ def kind_of(arm: Arm, tissue: TissueSettings, kalman: bool) -> Kind:
     """What of the settings makes a program of its own."""
     assert tissue.kind in KINDS
     cable, tool_inertia = arm.cable_hz > 0.0, arm.beyond_sensor > 0.0
-    return Kind(tissue.kind, tissue.attached, cable, kalman, tool_inertia, arm.integrator, arm.substeps)
+    structure = cable, kalman, tool_inertia, arm.integrator, arm.substeps, arm.compensation > 0.0
+    return Kind(tissue.kind, tissue.attached, *structure)
 
 
 def softening(tissue: TissueSettings, t: np.ndarray) -> np.ndarray:
@@ -162,8 +170,11 @@ def robot_of(experiment: "Experiment") -> Robot:
         nominal=Nominal(
             1.0 + arm.mass_error,
             arm.tool_mass_error,
-            tuple(arm.compensation * value for value in arm.coulomb),
-            tuple(arm.compensation * value for value in arm.viscous),
+            Believed(
+                tuple(arm.compensation * value for value in arm.believed_coulomb or arm.coulomb),
+                tuple(arm.compensation * value for value in arm.believed_viscous or arm.viscous),
+                arm.believed_presliding or arm.presliding,
+            ),
         ),
         posture=posture,
         touch=tuple(map(float, tip_at(posture))),

@@ -58,7 +58,7 @@ def law_trace(gains: Gains, force: np.ndarray, force_ref: np.ndarray, preview: b
         return cascade.step(apart, state, now[0], tuple(now[1]))
 
     def axis(force: Any, ref: Any) -> Any:
-        return jax.lax.scan(one, cascade.init(force[0]), (force, ref))[1]
+        return jax.lax.scan(one, cascade.init(force[0], cascade.order(apart)), (force, ref))[1]
 
     apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
     wanted = force_ref if preview else force_ref[:, :, None]

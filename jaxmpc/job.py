@@ -32,22 +32,23 @@ def experiment_table(table: Mapping[str, Any], folder: Path) -> Experiment:
     return Experiment.from_dict(data, folder, "experiment")
 
 
-def params_table(table: Mapping[str, Any], folder: Path) -> Params:
-    """The controller that a job starts from.
+def params_table(table: Mapping[str, Any], folder: Path, root: str = "params") -> Params:
+    """A controller of a job.
 
     Args:
         table: `published` or `file` (relative to `folder`), and any parameters to change.
         folder: Where the job's file lies.
+        root: The table's name.
 
     Raises:
         InputError: Names key, value, bound and remedy.
     """
-    published, file, changes = _source(table, "params")
+    published, file, changes = _source(table, root)
     base = Params.from_toml(folder / file) if file else Params.published(published or "text")
     try:
         return Params.from_dict({**base.to_dict(), **changes})
     except InputError as error:
-        raise replace(error, key=f"params.{error.key}") from None
+        raise replace(error, key=f"{root}.{error.key}") from None
 
 
 def _source(table: Mapping[str, Any], root: str) -> tuple[str | None, str | None, dict[str, Any]]:

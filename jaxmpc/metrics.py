@@ -33,6 +33,8 @@ class Metrics(NamedTuple):
     """Root mean square of its change from sample to sample [m/s²]."""
     peak_force: Float[Array, "..."]
     """Largest measured |force| over the whole run [N]."""
+    peak_error: Float[Array, "..."]
+    """Largest |residual| [N]."""
 
 
 def nothing(like: Lane) -> Totals:
@@ -94,4 +96,5 @@ def metrics(totals: Totals, samples: Lane) -> Metrics:
         effort=root_mean(totals.acceleration_squared),
         chatter=root_mean(totals.change_squared),
         peak_force=totals.highest_force,
+        peak_error=jnp.maximum(totals.highest_error, -totals.lowest_error),
     )

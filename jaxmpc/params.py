@@ -20,6 +20,9 @@ HU_MAX = 16
 """Longest control horizon [samples]."""
 
 Architecture = Literal["mpc-aob", "aob", "mpc"]
+Order = Literal[1, 2, 3]
+STRUCTURE = ("architecture", "disturbance_order")
+"""What of a controller is no number to be tuned but needs a program of its own."""
 Number = Float[jax.Array | np.ndarray, "..."]
 
 
@@ -94,7 +97,7 @@ class Params(eqx.Module):
     delta: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.9)
     """δ, weight on the predicted force errors [-]: one number, or a diagonal of `HP_MAX`."""
     Q_p: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.5)
-    """Variance of the active state's increments, relative to R [(m/s²)²/N²]."""
+    """Variance of the active state's N-th differences, its increments for N = 1, relative to R [(m/s²)²/N²]."""
     Q_x: Shaped[Any, "..."] = eqx.field(converter=_number, default=1e-12)
     """Variance of each state's process noise, relative to R [-]."""
     R: Shaped[Any, "..."] = eqx.field(converter=_number, default=1.0)
@@ -111,14 +114,28 @@ class Params(eqx.Module):
     """Control horizon [samples]."""
     architecture: Architecture = eqx.field(static=True, default="mpc-aob")
     """"mpc-aob", "aob" (u = F_d) or "mpc" (on the open-loop plant)."""
+    disturbance_order: Order = eqx.field(static=True, default=1)
+    """N, order of the random walk that the active state is taken for: 1 constant, 2 ramp, 3 parabola between samples.
+    The same bandwidth needs a lower Q_p the higher N is."""
 
     def __check_init__(self) -> None:
         if self.architecture not in get_args(Architecture):
             known = list(get_args(Architecture))
             raise InputError("architecture", self.architecture, "a known one", nearest(str(self.architecture), known))
+        order = self.disturbance_order
+        if type(order) is not int or order not in get_args(Order):
+            raise InputError("disturbance_order", order, "1, 2 or 3", "The paper's active state has order 1.")
+        if self.architecture == "mpc" and order != 1:
+            remedy = "MPC alone has no active state: leave it out."
+            raise InputError("disturbance_order", order, '1 with the architecture "mpc"', remedy)
         values = {name: getattr(self, name) for name in BOUNDS}
         if all(isinstance(value, np.ndarray) for value in values.values()):
             check_values(values)
+
+    @property
+    def structure(self) -> dict[str, Any]:
+        """Its values of `STRUCTURE`; the same for the whole of a batch."""
+        return {name: getattr(self, name) for name in STRUCTURE}
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -151,12 +168,12 @@ class Params(eqx.Module):
         Raises:
             InputError: An unknown name, a wrong type, or a value out of bounds.
         """
-        known = [*BOUNDS, "architecture"]
+        known = [*BOUNDS, *STRUCTURE]
         given: dict[str, Any] = {}
         for name, value in values.items():
             if name not in known:
                 raise InputError(name, value, "a known parameter", nearest(name, known))
-            given[name] = value if name == "architecture" else _from_plain(name, value)
+            given[name] = value if name in STRUCTURE else _from_plain(name, value)
         return Params(**given)
 
     @staticmethod
@@ -182,18 +199,20 @@ class Params(eqx.Module):
             raise InputError("params", f"a batch {self.batch_shape}", "one controller", "Take one with `params[i]`.")
         values = {name: np.asarray(getattr(self, name)).tolist() for name in BOUNDS}
         whole = {name: int(values[name]) for name in ("Hp", "Hu") if values[name] == int(values[name])}
-        return {"architecture": self.architecture, **values, **whole}
+        return {**self.structure, **values, **whole}
 
     @staticmethod
     def stack(batch: Sequence["Params"]) -> "Params":
-        """One batch of several controllers of the same architecture; scalars beside diagonals are widened.
+        """One batch of several controllers of the same structure; scalars beside diagonals are widened.
 
         Raises:
-            InputError: The batch is empty or mixes architectures.
+            InputError: The batch is empty, or mixes architectures or disturbance orders.
         """
-        if len({p.architecture for p in batch}) != 1:
-            found = ", ".join(sorted({p.architecture for p in batch})) or "none"
-            raise InputError("architecture", found, "one for the whole batch", "Evaluate each architecture by itself.")
+        for name in STRUCTURE:
+            found = sorted({str(getattr(p, name)) for p in batch})
+            if len(found) != 1:
+                remedy = f"Evaluate each {name} by itself."
+                raise InputError(name, ", ".join(found) or "none", "one for the whole batch", remedy)
         columns = {}
         for name in BOUNDS:
             leaves = [getattr(p, name) for p in batch]
@@ -201,7 +220,7 @@ class Params(eqx.Module):
             shape = np.broadcast_shapes(*(leaf.shape for leaf in leaves))
             xp: Any = jnp if traced else np
             columns[name] = xp.stack([xp.broadcast_to(leaf, shape) for leaf in leaves])
-        return Params(**columns, architecture=batch[0].architecture)
+        return Params(**columns, **batch[0].structure)
 
     def with_columns(self, columns: Mapping[str, Any]) -> "Params":
         """A batch of this one controller with some parameters replaced by columns of the same length.
@@ -214,9 +233,9 @@ class Params(eqx.Module):
         """
         rows = len(next(iter(columns.values())))
         base = {name: getattr(self, name) for name in BOUNDS}
-        wide = {name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in base.items()}
+        wide: dict[str, Any] = {name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in base.items()}
         given = {name: np.asarray(value, np.float64) for name, value in columns.items()}
-        return Params(**{**wide, **given}, architecture=self.architecture)
+        return Params(**{**wide, **given}, **self.structure)
 
     def __getitem__(self, row: int | slice) -> "Params":
         """One controller, or a slice, of a batch."""

@@ -85,10 +85,19 @@ def scene_of(experiment: Experiment) -> Scene:
 
 
 def side_by_side(scenes: list[Scene]) -> Scene:
-    """Scenes that differ in their motion alone as one, as if each motion had axes of its own."""
+    """Scenes of one `World` and stiffness set as one, as if each had axes of its own.
+
+    On the arm they may also differ in the robot; what differs becomes one number per scene.
+    """
     first = scenes[0]
     joined = jax.tree.map(lambda *fields: jnp.concatenate(fields), *(scene.signals for scene in scenes))
-    return first._replace(signals=joined, lsb=np.tile(first.lsb, 1 if first.robot else len(scenes)))
+    if first.robot is None:
+        return first._replace(signals=joined, lsb=np.tile(first.lsb, len(scenes)))
+
+    def shared(*values: Any) -> Any:
+        return values[0] if len(set(map(float, values))) == 1 else np.array(values, np.float64)
+
+    return first._replace(signals=joined, robot=jax.tree.map(shared, *(scene.robot for scene in scenes)))
 
 
 def run_cells(

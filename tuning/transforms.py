@@ -42,6 +42,8 @@ DEFAULTS: Mapping[str, Default] = {
     "Hp": Default(2.0, HP_MAX, 10.0),
     "Hu": Default(1.0, HU_MAX, 3.0),
 }
+Q_P_BY_ORDER: Mapping[int, Default] = {2: Default(1e-9, 1e1, 2.0), 3: Default(1e-12, 1e-1, 3.0)}
+"""Those of Q_p for an active state of higher order, whose differences are smaller by a factor of some 1e-3 each."""
 FREE = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s", "Hp", "Hu")
 """Free by default; δ and R only set the scales of λ and Q."""
 
@@ -117,7 +119,7 @@ class Space:
         whole = {name: jnp.round(values[name]) for name in HORIZONS}
         whole["Hu"] = jnp.minimum(whole["Hu"], whole["Hp"])
         values |= {name: jnp.where(width > 1.0, values[name], whole[name]) for name in HORIZONS}
-        return Params(**values, architecture=self.base.architecture)
+        return Params(**values, architecture=self.base.architecture, disturbance_order=self.base.disturbance_order)
 
     def values(self, z: np.ndarray) -> np.ndarray:
         """Engineering values of vectors along the last dimension, horizons not rounded."""
@@ -146,17 +148,18 @@ class Space:
         """The controller that a vector stands for once its horizons are rounded, as plain arrays."""
         rounded = self.decode(jnp.asarray(z), 1.0)
         values = {name: np.asarray(getattr(rounded, name)) for name in BOUNDS}
-        return Params(**values, architecture=rounded.architecture)
+        return Params(**values, architecture=rounded.architecture, disturbance_order=rounded.disturbance_order)
 
 
-def axis_of(name: str, bounds: tuple[float, float] | None, diagonal: bool) -> Axis:
+def axis_of(name: str, bounds: tuple[float, float] | None, diagonal: bool, order: int = 1) -> Axis:
     """The axis of one parameter.
 
     Args:
         name: A parameter.
         bounds: Its bounds; None takes the default ones.
         diagonal: Whether each entry of its diagonal is free by itself.
+        order: Disturbance order of the controller.
     """
-    default = DEFAULTS[name]
+    default = Q_P_BY_ORDER.get(order, DEFAULTS[name]) if name == "Q_p" else DEFAULTS[name]
     low, high = bounds or default[:2]
     return Axis(name, float(low), float(high), default.scale, DIAGONALS[name] if diagonal else 0)

@@ -22,7 +22,7 @@ def over_arm_cells(
         program: Arm and structure.
         gains: Taken apart into scalars, each (controllers,).
         K2: Damping, (controllers,) [1/s].
-        robot: Constants, the stiffness left open.
+        robot: Constants, each one number or one per motion (motions,); the stiffness is left open.
         stiffness: (tissues,) [N/m].
         signals: With the motions as leading dimension.
         traced: Keep every sample.
@@ -37,6 +37,7 @@ def over_arm_cells(
     def everywhere(value: Any) -> Any:
         return jnp.broadcast_to(value, shape)
 
+    robot = jax.tree.map(lambda leaf: leaf[:, None, None] if jnp.ndim(leaf) else leaf, robot)
     on_tissues = robot._replace(tissue=robot.tissue._replace(stiffness=everywhere(stiffness[:, None])))
     cells = Cell(jax.tree.map(everywhere, gains), everywhere(K2), on_tissues)
     # Every operation is elementwise, so arrays may stand for the scalars of the law; vmap traces three times longer.

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxmpc.engine import ops
 from jaxmpc.engine.rollout import STRETCH
 from jaxmpc.engine.sharing import sharing
-from jaxmpc.law import force_control
+from jaxmpc.law import cascade, force_control
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
 from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, nothing
@@ -74,7 +74,7 @@ class Trouble(NamedTuple):
 class Carry(NamedTuple):
     """State of the whole loop between two samples."""
 
-    controller: force_control.Axes
+    controller: force_control.State
     robot: world.State
     a: Any
     """Accelerations asked at the last sample [m/s²]."""
@@ -104,7 +104,9 @@ def start(program: Program, cell: Cell) -> Carry:
     zero = 0.0 * cell.K2
     state = world.init(program.chain, program.kind, cell.robot, zero, ops)
     never = Trouble(zero + jnp.inf, zero + jnp.inf)
-    return Carry(force_control.init(zero), state, (zero, zero, zero), never)
+    resting = tuple(zero + joint for joint in cell.robot.posture) if program.kind.compensated else None
+    controller = force_control.init(zero, cascade.order(cell.gains), resting)
+    return Carry(controller, state, (zero, zero, zero), never)
 
 
 def advance(program: Program, cell: Cell, carry: Carry, now: ArmSignals) -> tuple[Carry, ArmSample]:
@@ -134,10 +136,10 @@ def advance(program: Program, cell: Cell, carry: Carry, now: ArmSignals) -> tupl
     sample = ArmSample(
         force,
         now.force_ref,
-        tuple(axis.u for axis in controller),
+        tuple(axis.u for axis in controller.axes),
         command.v,
         command.a,
-        tuple(axis.p_hat for axis in controller),
+        tuple(axis.p_hat for axis in controller.axes),
         tip,
         state.q,
         sent,

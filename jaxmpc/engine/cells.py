@@ -22,7 +22,7 @@ def over_cells(function: Callable[..., Any], gains: Gains, contacts: Contact, ls
         gains: Taken apart into scalars, each (controllers,).
         contacts: Each (controllers, stiffnesses).
         lsb: Quantisation per axis, (3,) [N].
-        signals: Axis first, (3, steps, …).
+        signals: Axis first, (3, steps, …); its acceleration may be None.
 
     Returns:
         What the function returns, with leading dimensions (controllers, stiffnesses, 3).

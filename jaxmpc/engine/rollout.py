@@ -30,6 +30,8 @@ class AxisSignals(NamedTuple):
     noise: Float[Array, " steps"]
     force_ref: Float[Array, "steps ahead"]
     score: Array
+    acceleration: Float[Array, " steps"] | None = None
+    """Of the tip by what else acts on it, such as friction [m/s²]; None costs nothing."""
 
 
 class Sample(NamedTuple):
@@ -68,7 +70,7 @@ def scalars(gains: Gains, preview: bool) -> Gains:
 def start(gains: Gains) -> Carry:
     """The loop at rest: the tip touches without force."""
     zero = jnp.zeros_like(gains.mpc_u)
-    return Carry(cascade.init(zero), world.init(zero))
+    return Carry(cascade.init(zero, cascade.order(gains)), world.init(zero))
 
 
 def advance(gains: Gains, contact: Contact, lsb: Scalar, carry: Carry, signals: AxisSignals) -> tuple[Carry, Sample]:
@@ -87,7 +89,7 @@ def advance(gains: Gains, contact: Contact, lsb: Scalar, carry: Carry, signals: 
     force = jnp.where(lsb > 0.0, quantised, noisy)
     controller, v = cascade.step(gains, carry.controller, force, tuple(signals.force_ref))
     tip = state.x
-    state, a = world.move(contact, state, v)
+    state, a = world.move(contact, state, v, signals.acceleration)
     sample = Sample(force, signals.force_ref, controller.u, v, a, controller.p_hat, tip)
     return Carry(controller, state), sample
 
@@ -119,7 +121,7 @@ def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> tu
         return (carry, merge(totals, partial)), ~(partial.highest_force < HIGHEST_FORCE)
 
     empty = nothing(jnp.zeros_like(gains.mpc_u))
-    parts = AxisSignals(*map(stretches, signals))
+    parts = jax.tree.map(stretches, signals)
     (_, totals), away = jax.lax.scan(stretch, (start(gains), empty), parts)
     # To one stretch: a flag per sample would cost every run what only a lost one needs.
     when = jnp.where(jnp.any(away), STRETCH * jnp.argmax(away) * contact.T_s, jnp.inf)

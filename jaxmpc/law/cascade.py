@@ -3,10 +3,15 @@
 Only `+ - * /` on scalars. JAX traces this source for simulation, the robot records it once into a
 straight-line function; there is no second implementation. With ŷ = C x̂⁻ and [P] the paper:
 
-    x̂⁻ₖ = Φᵣ x̂ₖ₋₁ + Γᵣ (vₖ₋₁ + p̂ₖ₋₁),  p̂⁻ₖ = p̂ₖ₋₁          [P] (13), open-loop form
-    (x̂ₖ, p̂ₖ) = (x̂⁻ₖ, p̂⁻ₖ) + K (yₖ − ŷₖ)                    [P] (11)
+    x̂⁻ₖ = Φᵣ x̂ₖ₋₁ + Γᵣ (vₖ₋₁ + p̂ₖ₋₁)                        [P] (13), open-loop form
+    p̂⁻ₖ = p̂ₖ₋₁ + d̂¹ₖ₋₁,  d̂ʲ⁻ₖ = d̂ʲₖ₋₁ + d̂ʲ⁺¹ₖ₋₁,  d̂ᴺ = 0    [P] (12), where N = 1
+    (x̂ₖ, p̂ₖ, d̂ₖ) = (x̂⁻ₖ, p̂⁻ₖ, d̂⁻ₖ) + K (yₖ − ŷₖ)            [P] (11)
     uₖ = uₖ₋₁ + Σᵢ rᵢ F_d,ₖ₊ᵢ − mₓ x̂ₖ[:2] − mᵤ uₖ₋₁            [P] (29), first row
     vₖ = g uₖ − L x̂ₖ − p̂ₖ                                     [P] Fig. 1, g = L₁
+
+The disturbance order N takes p for an N-th order random walk: noise w drives the last of p and its N − 1 differences
+d, so Σⱼ (−1)ʲ C(N,j) pₖ₋ⱼ = w, N − 1 samples late, which changes no estimate. The differences only predict: pₖ acts
+where vₖ does, so p̂ₖ alone cancels it.
 
 Erratum: eq. (12) prints [C 1]; [C 0] is needed to obtain (33).
 Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain of 1 (Fig. 1 shows L₁).
@@ -33,7 +38,7 @@ class Gains(NamedTuple):
     gamma: Vector
     """Γ₂: force [N] and force rate [N/s] gained in one sample per acceleration [m/s²], shape (2,)."""
     K: Vector
-    """Kalman gain: force [-], force rate [1/s], delayed input [m/s²/N], active state [m/s²/N], shape (4,)."""
+    """Kalman gain: force [-], force rate [1/s], delayed input, active state and its differences [m/s²/N], (3 + N,)."""
     L: Vector
     """State feedback: force [m/s²/N], force rate [m/s/N], delayed input [-], shape (3,)."""
     input_gain: Scalar
@@ -57,18 +62,27 @@ class ControllerState(NamedTuple):
     """Previous MPC output, the force reference of the inner loop [N]."""
     v: Scalar
     """Previous command [m/s²]. After a clamp, put what was really applied: `state._replace(v=…)`."""
+    trend: tuple[Scalar, ...] = ()
+    """Estimated differences of the active state from sample to sample, 1st to (N − 1)-th [m/s²]."""
 
 
-def init(force: Scalar = 0.0) -> ControllerState:
+def order(gains: Gains) -> int:
+    """Disturbance order N of one controller."""
+    return len(gains.K) - 3
+
+
+def init(force: Scalar = 0.0, order: int = 1) -> ControllerState:
     """State at rest in contact with a measured force [N]: no rate, no disturbance, no command."""
     zero = 0.0 * force
-    return ControllerState((force, zero, zero), zero, force, zero)
+    return ControllerState((force, zero, zero), zero, force, zero, (zero,) * (order - 1))
 
 
-def estimate(gains: Gains, state: ControllerState, force: Scalar) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar]:
+def estimate(
+    gains: Gains, state: ControllerState, force: Scalar
+) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar, tuple[Scalar, ...]]:
     """Active observer: predict with the command that was applied, correct with the measured force [N]."""
     (phi_12, phi_22), (gamma_1, gamma_2) = gains.phi, gains.gamma
-    K_1, K_2, K_3, K_p = gains.K
+    K_1, K_2, K_3, *K_p = gains.K
     y, ydot, delayed = state.x_hat
     y_prior = y + phi_12 * ydot + gamma_1 * delayed
     ydot_prior = phi_22 * ydot + gamma_2 * delayed
@@ -78,7 +92,10 @@ def estimate(gains: Gains, state: ControllerState, force: Scalar) -> tuple[tuple
         ydot_prior + K_2 * innovation,
         state.v + state.p_hat + K_3 * innovation,
     )
-    return x_hat, state.p_hat + K_p * innovation
+    active = (state.p_hat, *state.trend)
+    prior = (*(value + change for value, change in zip(active[:-1], state.trend, strict=True)), active[-1])
+    p_hat, *trend = (value + gain * innovation for value, gain in zip(prior, K_p, strict=True))
+    return x_hat, p_hat, tuple(trend)
 
 
 def step(
@@ -96,12 +113,12 @@ def step(
     Returns:
         The next state and the acceleration command vₖ [m/s²]; damping is not yet subtracted.
     """
-    x_hat, p_hat = estimate(gains, state, force)
+    x_hat, p_hat, trend = estimate(gains, state, force)
     u = state.u - gains.mpc_x[0] * x_hat[0] - gains.mpc_x[1] * x_hat[1] - gains.mpc_u * state.u
     for weight, wanted in zip(gains.mpc_ref, force_ref, strict=True):
         u = u + weight * wanted
     v = gains.input_gain * u - gains.L[0] * x_hat[0] - gains.L[1] * x_hat[1] - gains.L[2] * x_hat[2] - p_hat
-    return ControllerState(x_hat, p_hat, u, v), v
+    return ControllerState(x_hat, p_hat, u, v, trend), v
 
 
 def constant_reference(gains: Gains) -> Gains:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from jaxmpc.law import chain as arm
 from jaxmpc.law.chain import Chain
+from jaxmpc.law.compensation import Believed
 from jaxmpc.law.scalar import (
     Matrix,
     Scalar,
@@ -31,8 +32,6 @@ from jaxmpc.law.scalar import (
 
 POSTURE_STIFFNESS, POSTURE_DAMPING = 20.0, 9.0
 """Null-space posture: acceleration per angle [1/s²] and per velocity [1/s]; critically damped."""
-COMPENSATION_VELOCITY = 0.02
-"""Half-width of the smooth sign in the friction compensation [rad/s]."""
 
 
 class Nominal(NamedTuple):
@@ -42,10 +41,8 @@ class Nominal(NamedTuple):
     """Mass and inertia of links and tool, as a share of the true ones [-]."""
     tool_error: Scalar
     """Point mass at the tip that is believed but not there [kg]."""
-    coulomb: Vector
-    """Coulomb friction that is compensated [N m]; zeros compensate none."""
-    viscous: Vector
-    """Viscous friction that is compensated [N m s/rad]."""
+    friction: Believed
+    """What is cancelled of the joints' friction, if any."""
 
 
 class Torque(NamedTuple):
@@ -64,7 +61,15 @@ def tip_velocity(chain: Chain, q: Vector, qd: Vector, ops: Any) -> Vector:
 
 
 def torque(
-    chain: Chain, nominal: Nominal, posture: Vector, q: Vector, qd: Vector, a: Vector, force: Vector, ops: Any
+    chain: Chain,
+    nominal: Nominal,
+    posture: Vector,
+    q: Vector,
+    qd: Vector,
+    a: Vector,
+    force: Vector,
+    friction: Vector,
+    ops: Any,
 ) -> Torque:
     """Joint torques for a wanted acceleration of the tip.
 
@@ -76,6 +81,7 @@ def torque(
         qd: Measured joint velocities, 4 scalars [rad/s].
         a: Wanted acceleration, 3 scalars [m/s²].
         force: Measured force on the tissue, 3 scalars [N].
+        friction: Torques that cancel the friction τ_f, 4 scalars [N m].
         ops: Module with `sin`, `cos` and `sqrt`.
     """
     share = nominal.mass_scale
@@ -96,17 +102,9 @@ def torque(
     w = sub(sub(a, found.drift), apply(J, posture_acceleration))
     at_the_tip = add(solve_ldl(factor_ldl(mobility), w), force)
     tau = add(add(apply(mass, posture_acceleration), bias), apply_transposed(J, at_the_tip))
-    return Torque(add(tau, _compensation(nominal, qd, ops)), J, factors)
+    return Torque(add(tau, friction), J, factors)
 
 
 def acceleration_of(found: Torque, change: Vector) -> Vector:
     """Acceleration of the tip [m/s²] that a change of the joint torques [N m] makes, on the nominal model."""
     return apply(found.jacobian, solve_ldl(found.factors, change))
-
-
-def _compensation(nominal: Nominal, qd: Vector, ops: Any) -> Vector:
-    """F_c q̇/√(q̇² + v₀²) + D q̇: friction torques to be cancelled."""
-    return tuple(
-        coulomb * v / ops.sqrt(v * v + COMPENSATION_VELOCITY**2) + viscous * v
-        for coulomb, viscous, v in zip(nominal.coulomb, nominal.viscous, qd, strict=True)
-    )

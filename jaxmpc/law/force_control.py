@@ -1,18 +1,30 @@
 """The whole controller at one sample: three cascades, damping, computed torque.
 
 vₖ per axis from the cascade,  a = v − K₂ ẋ,  τ from a by computed torque      [P] Fig. 1
+
+and, if wanted, what a nominal model says of the joints' friction on top of τ.
 """
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxmpc.law import cascade, computed_torque
+from jaxmpc.law import cascade, compensation, computed_torque
 from jaxmpc.law.cascade import ControllerState, Gains
 from jaxmpc.law.chain import Chain
+from jaxmpc.law.compensation import Bristles
 from jaxmpc.law.computed_torque import Nominal, Torque
 from jaxmpc.law.scalar import Scalar, Vector, add, scale, sub
 
-Axes = tuple[ControllerState, ControllerState, ControllerState]
+NO_FRICTION = (0.0, 0.0, 0.0, 0.0)
+
+
+class State(NamedTuple):
+    """What the controller remembers between two samples."""
+
+    axes: tuple[ControllerState, ControllerState, ControllerState]
+    """Cascades of X, Y, Z."""
+    bristles: Bristles | None
+    """Of the friction that is cancelled; None cancels none."""
 
 
 class Command(NamedTuple):
@@ -26,10 +38,16 @@ class Command(NamedTuple):
     """Accelerations asked of the tip, v − K₂ẋ [m/s²]."""
 
 
-def init(force: Scalar = 0.0) -> Axes:
-    """Three cascades at rest at a measured force [N]."""
-    state = cascade.init(force)
-    return state, state, state
+def init(force: Scalar = 0.0, order: int = 1, angle: Vector | None = None) -> State:
+    """At rest.
+
+    Args:
+        force: Measured force on each axis [N].
+        order: Disturbance order of the cascades.
+        angle: Measured joint angles, 4 scalars [rad]; None cancels no friction.
+    """
+    axis = cascade.init(force, order)
+    return State((axis, axis, axis), None if angle is None else compensation.init(angle))
 
 
 def step(
@@ -38,13 +56,13 @@ def step(
     posture: Vector,
     gains: Gains,
     K2: Scalar,
-    state: Axes,
+    state: State,
     q: Vector,
     qd: Vector,
     force: Vector,
     force_ref: Sequence[Sequence[Scalar]],
     ops: Any,
-) -> tuple[Axes, Command]:
+) -> tuple[State, Command]:
     """Advance the controller by one sample.
 
     Args:
@@ -60,15 +78,18 @@ def step(
         force_ref: Wanted force per axis, as `cascade.step` takes it [N].
         ops: Scalar functions.
     """
-    stepped = [cascade.step(gains, *axis) for axis in zip(state, force, force_ref, strict=True)]
+    stepped = [cascade.step(gains, *axis) for axis in zip(state.axes, force, force_ref, strict=True)]
     v = tuple(command for _, command in stepped)
     a = sub(v, scale(K2, computed_torque.tip_velocity(chain, q, qd, ops)))
-    found = computed_torque.torque(chain, nominal, posture, q, qd, a, force, ops)
+    bristles, friction = state.bristles, NO_FRICTION
+    if bristles is not None:
+        bristles, friction = compensation.step(nominal.friction, bristles, q, qd, ops)
+    found = computed_torque.torque(chain, nominal, posture, q, qd, a, force, friction, ops)
     x, y, z = (following for following, _ in stepped)
-    return (x, y, z), Command(found, v, a)
+    return State((x, y, z), bristles), Command(found, v, a)
 
 
-def applied(state: Axes, command: Command, clamped: Vector) -> Axes:
+def applied(state: State, command: Command, clamped: Vector) -> State:
     """Tell the observers what was really applied (anti-windup).
 
     Args:
@@ -78,5 +99,5 @@ def applied(state: Axes, command: Command, clamped: Vector) -> Axes:
     """
     lost = computed_torque.acceleration_of(command.torque, sub(clamped, command.torque.torque))
     told = add(command.v, lost)
-    x, y, z = (axis._replace(v=v) for axis, v in zip(state, told, strict=True))
-    return x, y, z
+    x, y, z = (axis._replace(v=v) for axis, v in zip(state.axes, told, strict=True))
+    return state._replace(axes=(x, y, z))

@@ -72,7 +72,7 @@ def closed_loop_matrix(gains: Gains, contact: Contact) -> Float[Array, "n n"]:
         contact: One world; heart, noise and reference are zero.
     """
     zero = jnp.zeros_like(gains.mpc_u)
-    flat, restore = jax.flatten_util.ravel_pytree((cascade.init(zero), world.init(zero)))
+    flat, restore = jax.flatten_util.ravel_pytree((cascade.init(zero, cascade.order(gains)), world.init(zero)))
     quiet = (zero,) * len(gains.mpc_ref[:1])
     gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
 

@@ -19,27 +19,36 @@ Response = Complex[Array, "..."]
 def controller_response(gains: Gains, q: Response) -> Response:
     r"""V/Y of the cascade at q = z⁻¹ [m/s²/N], without a division before the last.
 
-    Every signal is a combination of the innovation I and the command V. With d = 1 − q, e = 1 − φ₂₂ q,
-    m = 1 − (1 − mᵤ) q the law's equations, from the observer's last state to its first, read
+    Every signal is a combination of the innovation I and the command V. With the disturbance order N, d = 1 − q,
+    e = 1 − φ₂₂ q, m = 1 − (1 − mᵤ) q the law's equations, from the observer's last state to its first, read
 
-        d P̂ = K_p I,  d X̂₃ = n₃ I + q d V,  e d X̂₂ = n₂ I + γ₂ q² d V,  e d² X̂₁ = n₁ I + q² d b V,
+        dᴺ P̂ = n_p I,  dᴺ X̂₃ = n₃ I + q dᴺ V,  e dᴺ X̂₂ = n₂ I + γ₂ q² dᴺ V,  e dᴺ⁺¹ X̂₁ = n₁ I + q² dᴺ b V,
 
-    Y = X̂₁ + (1 − K₁) I, and V = −(L₁ + g m₁/m) X̂₁ − (L₂ + g m₂/m) X̂₂ − L₃ X̂₃ − P̂.
+    Y = X̂₁ + (1 − K₁) I, and V = −(L₁ + g m₁/m) X̂₁ − (L₂ + g m₂/m) X̂₂ − L₃ X̂₃ − P̂. Without I, and
+    with wᵢ = m Lᵢ + g mᵢ and f_I I + f_V V what the law makes of both,
+
+        V/Y = f_I / (dᴺ {q² w₂ (γ₁ K₂ − γ₂ K₁) − m [q b K₃ + (1 + q L₃)(q φ₁₂ K₂ + e K₁)] − (1 − K₁)(m e d + f_V)}),
+
+    after e dᴺ⁺¹ has cancelled out: so the N integrators keep their digits down to any frequency.
     """
     (phi_12, phi_22), (gamma_1, gamma_2) = gains.phi, gains.gamma
-    K_1, K_2, K_3, K_p = (gains.K[i] for i in range(4))
+    K_1, K_2, K_3, *K_p = (gains.K[i] for i in range(len(gains.K)))
     d, e, m = 1.0 - q, 1.0 - phi_22 * q, 1.0 - (1.0 - gains.mpc_u) * q
-    n_3 = q * K_p + K_3 * d
-    n_2 = gamma_2 * q * n_3 + K_2 * d
-    n_1 = q * (phi_12 * n_2 + gamma_1 * e * n_3) + K_1 * e * d
+    n_p, integrators = K_p[-1], d
+    for gain in K_p[-2::-1]:
+        n_p, integrators = q * n_p + gain * integrators, d * integrators
+    n_3 = q * n_p + K_3 * integrators
+    n_2 = gamma_2 * q * n_3 + K_2 * integrators
+    n_1 = q * (phi_12 * n_2 + gamma_1 * e * n_3) + K_1 * e * integrators
     b = phi_12 * gamma_2 * q + gamma_1 * e
 
     weight_1 = m * gains.L[0] + gains.input_gain * gains.mpc_x[0]
     weight_2 = m * gains.L[1] + gains.input_gain * gains.mpc_x[1]
-    from_I = weight_1 * n_1 + d * (weight_2 * n_2 + m * e * (gains.L[2] * n_3 + K_p))
+    from_I = weight_1 * n_1 + d * (weight_2 * n_2 + m * e * (gains.L[2] * n_3 + n_p))
     from_V = q * (weight_1 * q * b + d * (weight_2 * gamma_2 * q + gains.L[2] * m * e))
-    y_from_I = n_1 + (1.0 - K_1) * e * d * d
-    response: Response = e * d * from_I / (q * q * b * from_I - y_from_I * (m * e * d + from_V))
+    rest = q * q * weight_2 * (gamma_1 * K_2 - gamma_2 * K_1) - (1.0 - K_1) * (m * e * d + from_V)
+    rest = rest - m * (q * b * K_3 + (1.0 + q * gains.L[2]) * (q * phi_12 * K_2 + e * K_1))
+    response: Response = from_I / (integrators * rest)
     return response
 
 

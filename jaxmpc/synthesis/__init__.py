@@ -3,6 +3,7 @@
 The public function is `jaxmpc.design`; the package has another name so that importing it does not hide it.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -29,7 +30,8 @@ def design_one(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[Gains, 
     p = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), params)
     lam, delta = jnp.broadcast_to(p.lam, (HU_MAX,)), jnp.broadcast_to(p.delta, (HP_MAX,))
     Phi, Gamma = contact_model(p.Khat_s, p.K2, T_s)
-    observer = input_noise_gain if p.architecture == "mpc" else active_observer_gain
+    active = partial(active_observer_gain, order=p.disturbance_order)
+    observer = input_noise_gain if p.architecture == "mpc" else active
     K, residual = observer(Phi, Gamma, p.Q_x, p.Q_p, p.R)
     phi = jnp.stack([Phi[0, 1], Phi[1, 1]])
     zero, one = jnp.zeros_like(p.T_cl), jnp.ones_like(p.T_cl)
@@ -75,7 +77,7 @@ def design(params: Params, timing: Timing | None = None) -> Gains:
         timing: Sampling; the design assumes a delay of one sample, as the paper does.
 
     Returns:
-        L (…, 3), K (…, 4), mpc_ref (…, 64), mpc_x (…, 2), mpc_u (…), … in float64; see `Gains`.
+        L (…, 3), K (…, 3 + N), mpc_ref (…, 64), mpc_x (…, 2), mpc_u (…), … in float64; see `Gains`.
     """
     gains: Gains = _design(params, (timing or Timing()).T_s)
     return gains

@@ -72,20 +72,22 @@ def dare_residual(P: Matrix, Phi: Matrix, c: Vector, Q: Matrix, r: Scalar) -> Sc
 
 
 def active_observer_gain(
-    Phi: Float[Array, "2 2"], Gamma: Float[Array, "2"], Q_x: Scalar, Q_p: Scalar, R: Scalar
-) -> tuple[Float[Array, "4"], Scalar]:
-    r"""Kalman gain of the plant with its delayed input and one active state, paper (11)–(14), (31)–(33).
+    Phi: Float[Array, "2 2"], Gamma: Float[Array, "2"], Q_x: Scalar, Q_p: Scalar, R: Scalar, order: int = 1
+) -> tuple[Float[Array, " states"], Scalar]:
+    r"""Kalman gain of the plant with its delayed input and an active state of order N, paper (11)–(14), (31)–(33).
 
-    The covariances run on the *open-loop* augmented matrix Φₐ = [[Φᵣ, Γᵣ], [0, 1]], Cₐ = [C 0].
+    The covariances run on the *open-loop* augmented matrix Φₐ = [[Φᵣ, Γᵣ, 0], [0, J]], Cₐ = [C 0], where the Jordan
+    block J of N ones adds to the active state and to each of its differences the next, and Q_p drives the last.
 
     Returns:
-        K for force, force rate, delayed input and active state, and the Riccati residual [-].
+        K for force, force rate, delayed input, active state and its N − 1 differences, and the Riccati residual [-].
     """
-    zero, one = 0.0 * Q_p, 1.0 + 0.0 * Q_p
-    Phi_a = jnp.block([[Phi, Gamma[:, None], jnp.zeros((2, 1))], [jnp.zeros((2, 4))]])
-    Phi_a = Phi_a.at[2, 3].set(1.0).at[3, 3].set(1.0)
-    c = jnp.stack([one, zero, zero, zero])
-    return _gain(Phi_a, c, jnp.diag(jnp.stack([Q_x, Q_x, Q_x, Q_p])), R)
+    n = 3 + order
+    chain = jnp.eye(n, k=1) + jnp.diag(jnp.where(jnp.arange(n) < 3, 0.0, 1.0))
+    Phi_a = chain.at[:2].set(jnp.block([Phi, Gamma[:, None], jnp.zeros((2, order))]))
+    zero = 0.0 * Q_p
+    Q = jnp.diag(jnp.stack([Q_x, Q_x, Q_x, *[zero] * (order - 1), Q_p]))
+    return _gain(Phi_a, jnp.eye(n)[0] + zero, Q, R)
 
 
 def input_noise_gain(

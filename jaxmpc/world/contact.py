@@ -5,7 +5,8 @@ Exact between samples, because the command is held and the heart moves the force
     xₖ₊₁ = xₖ + φ₁₂ ẋₖ + γ₁ aₖ₋d,   ẋₖ₊₁ = φ₂₂ ẋₖ + γ₂ aₖ₋d,   yₖ = K_s (xₖ − x_heart,ₖ)
 
 with aₖ = vₖ for the paper's ideal damping (6), which then sits in φ and γ, or aₖ = vₖ − K₂ ẋ_f,ₖ for
-damping through the sampled, filtered velocity, delayed like every command.
+damping through the sampled, filtered velocity, delayed like every command. A disturbance acceleration wₖ, held
+like a command but not delayed, adds to aₖ₋d.
 """
 
 from math import pi
@@ -75,13 +76,16 @@ def sense(contact: Contact, state: ContactState, heart: Scalar) -> tuple[Scalar,
     return force, state._replace(force=force, velocity=velocity)
 
 
-def move(contact: Contact, state: ContactState, v: Scalar) -> tuple[ContactState, Scalar]:
+def move(
+    contact: Contact, state: ContactState, v: Scalar, disturbance: Scalar | None = None
+) -> tuple[ContactState, Scalar]:
     """Take a command v [m/s²] and advance to the next sample.
 
     Args:
         contact: Constants.
         state: State that `sense` returned.
         v: Acceleration command of the cascade [m/s²].
+        disturbance: What accelerates the tip besides, at once and until the next sample [m/s²]; None is nothing.
 
     Returns:
         The next state, and the acceleration asked of the robot a = v − K₂ẋ [m/s²].
@@ -89,6 +93,8 @@ def move(contact: Contact, state: ContactState, v: Scalar) -> tuple[ContactState
     a = v - contact.K2 * state.velocity
     newest, older = state.pending
     applied = newest + contact.extra_delay * (older - newest)
+    if disturbance is not None:
+        applied = applied + disturbance
     x = state.x + contact.phi[0] * state.xdot + contact.gamma[0] * applied
     xdot = contact.phi[1] * state.xdot + contact.gamma[1] * applied
     return state._replace(x=x, xdot=xdot, pending=(a, newest)), a

@@ -13,6 +13,8 @@ Source: Dahl, The Aerospace Corporation TOR-0158(3107-18)-1, 1968, with exponent
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from jaxmpc.law.compensation import bristle
+
 Scalar = Any
 """A float, a traced JAX scalar, a batch of either, or a recorded operation."""
 Joints = tuple[Scalar, Scalar, Scalar, Scalar]
@@ -59,10 +61,6 @@ def step(friction: Friction, s: Sequence[Scalar], v: Sequence[Scalar], h: Scalar
     """
     z = friction.presliding
     each = isinstance(z, tuple | list) or getattr(z, "ndim", 0) > 0
-    moved = [_bristle(s[i], h * v[i], h * SMALL_VELOCITY, z[i] if each else z, ops) for i in range(4)]
+    moved = [bristle(s[i], h * v[i], h * SMALL_VELOCITY, z[i] if each else z, ops) for i in range(4)]
     torque = [friction.coulomb[i] * moved[i] for i in range(4)]
     return (moved[0], moved[1], moved[2], moved[3]), (torque[0], torque[1], torque[2], torque[3])
-
-
-def _bristle(s: Scalar, slid: Scalar, least: Scalar, z: Scalar, ops: Any) -> Scalar:
-    return (s * z + slid) / (z + ops.sqrt(slid * slid + least * least))

@@ -52,6 +52,8 @@ class Kind(NamedTuple):
     """Whether the force sensor reads the inertia of a tool beyond it."""
     integrator: str = "leapfrog"
     substeps: int = 1
+    compensated: bool = False
+    """Whether the controller cancels friction."""
 
 
 class Cable(NamedTuple):

@@ -34,7 +34,7 @@ def run_law(gains, force, force_ref):
     """Commands of the law itself on floats, one axis at a time; force_ref (n, 3, H)."""
     v = np.empty(np.shape(force))
     for axis in range(3):
-        state = cascade.init(float(force[0][axis]))
+        state = cascade.init(float(force[0][axis]), cascade.order(gains))
         for k in range(len(force)):
             state, v[k, axis] = cascade.step(gains, state, float(force[k][axis]), force_ref[k][axis])
     return v

@@ -147,6 +147,14 @@ def test_each_wrong_gain_has_its_sentence(data, name):
             from_bytes(seal(header | {"gains": wrong}, arrays))
 
 
+@pytest.mark.parametrize("count", [3, 7])
+def test_disturbance_order_that_does_not_exist_is_refused(data, count):
+    header, arrays = unseal(data)
+    gains = header["gains"] | {"K": [0.1] * count}
+    with pytest.raises(ArtifactError, match=f"K = {count} numbers: must be 4 to 6"):
+        from_bytes(seal(header | {"gains": gains}, arrays))
+
+
 def test_gain_that_is_not_finite_is_refused(data):
     header, arrays = unseal(data)
     text = canonical_json(header | {"gains": header["gains"] | {"mpc_u": 12345.5}}).replace("12345.5", "1e999")

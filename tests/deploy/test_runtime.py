@@ -15,10 +15,12 @@ def make(arguments, **changes):
     return Artifact(**({"preview": False} | values), golden_force=force, golden_force_ref=force_ref, golden_v=v)
 
 
+@pytest.mark.parametrize("more", [(), (1e-2,), (1e-2, 1e-4)])
 @pytest.mark.parametrize("preview", [False, True])
-def test_runtime_equals_the_law_on_floats_to_the_last_bit(arguments, law, preview):
-    golden = law.trace(law.gains, 500, preview)
-    artifact = make(arguments, golden=golden, preview=preview)
+def test_runtime_equals_the_law_on_floats_to_the_last_bit(arguments, law, preview, more):
+    gains = law.gains._replace(K=(*law.gains.K, *more))
+    golden = law.trace(gains, 500, preview)
+    artifact = make(arguments, gains=gains, golden=golden, preview=preview)
     assert replay(artifact) == 0.0
     runtime = Runtime(artifact)
     runtime.init(golden[0][0])

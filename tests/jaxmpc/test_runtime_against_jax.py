@@ -24,15 +24,15 @@ def jax_trace(gains, force, force_ref):
             wanted = row[1] if row[1].ndim == 2 else row[1][:, None] * jnp.ones(len(held.mpc_ref))
             return jax.vmap(lambda s, y, r: cascade.step(held, s, y, r))(state, row[0], wanted)
 
-        start = jax.vmap(cascade.init)(jnp.asarray(force[0]))
+        start = jax.vmap(lambda y: cascade.init(y, cascade.order(held)))(jnp.asarray(force[0]))
         _, v = jax.jit(lambda *rows: jax.lax.scan(step, start, rows))(jnp.asarray(force), jnp.asarray(force_ref))
         return np.asarray(v)
 
 
-@pytest.mark.parametrize("architecture", ["mpc-aob", "aob", "mpc"])
+@pytest.mark.parametrize(("architecture", "order"), [("mpc-aob", 1), ("aob", 1), ("mpc", 1), ("mpc-aob", 3)])
 @pytest.mark.parametrize("preview", [False, True])
-def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architecture, preview, tmp_path):
-    gains = design(Params(architecture=architecture))
+def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architecture, order, preview, tmp_path):
+    gains = design(Params(architecture=architecture, disturbance_order=order))
     draw = np.random.default_rng(5)
     n, ahead = 10_000, (64,) if preview else ()
     force, force_ref = draw.normal(-5.0, 1.0, (n, 3)), draw.normal(-5.0, 1.0, (n, 3, *ahead))
@@ -44,6 +44,7 @@ def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architectu
     assert deviation <= 1e-12
     short = tuple(each[:50] for each in (force, force_ref, v))
     frozen = freeze(tmp_path / "c.npz", arrays, 1e-3, 10.0, params, [ROW], floor, short, {}, preview)
+    assert (frozen.gains.K, cascade.order(frozen.gains)) == (tuple(np.asarray(gains.K).tolist()), order)
     assert frozen.gains.L == tuple(np.asarray(gains.L).tolist())
 
 

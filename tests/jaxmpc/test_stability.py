@@ -20,6 +20,8 @@ from jaxmpc.world.contact import hertz
 T_S = 1e-3
 SENSOR = hertz(500.0)
 TUNED = Params(K2=100.0, Khat_s=970.0, Q_p=10.0, T_cl=2e-4)
+RAMP = Params(K2=40.0, Khat_s=550.0, Q_p=1e-6, T_cl=2e-4, disturbance_order=2)
+PARABOLA = Params(K2=40.0, Khat_s=550.0, Q_p=1e-9, T_cl=2e-4, disturbance_order=3)
 CLASSICAL = Params(architecture="mpc", Q_p=1e3, Hp=60, Hu=10)
 CASES = [
     (Params(), 375.0, 1, True),
@@ -28,9 +30,11 @@ CASES = [
     (Params.published("printed"), 1200.0, 1, False),
     (TUNED, 1900.0, 1, False),
     (TUNED, 375.0, 1, True),
+    (RAMP, 600.0, 1, False),
     (Params(architecture="aob"), 810.0, 1, False),
     (CLASSICAL, 810.0, 1, True),
 ]
+PARABOLIC = (PARABOLA, 600.0, 2, False)
 Cut = tuple[Any, Any, float]
 
 
@@ -49,7 +53,7 @@ def radius(A: np.ndarray) -> float:
     return float(np.abs(np.linalg.eigvals(A)).max())
 
 
-@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES)
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES, PARABOLIC])
 def test_spectral_radius_is_that_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
 ) -> None:
@@ -87,7 +91,7 @@ def test_gain_or_delay_at_the_margin_puts_a_pole_on_the_unit_circle(
 
 
 @pytest.mark.parametrize("cut", [0.0, 1.0])
-@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES[:6])
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES[:7])
 def test_margins_are_those_of_python_control(params: Params, K_s: float, delay: int, ideal: bool, cut: float) -> None:
     """On frequency data: its polynomial route finds false crossings here."""
     gains = design(params)
@@ -103,7 +107,7 @@ def test_margins_are_those_of_python_control(params: Params, K_s: float, delay: 
     assert float(found.M_s) == pytest.approx(1.0 / distance.min(), rel=1e-3)
 
 
-@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES[:6])
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES[:7], PARABOLIC])
 def test_closed_form_response_is_that_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
 ) -> None:

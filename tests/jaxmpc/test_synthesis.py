@@ -65,19 +65,27 @@ def test_input_gain_makes_the_dc_gain_one() -> None:
 
 
 def augmented(params: Params) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Φₐ, Cₐ, Q, R of the active observer, written out from the paper's (11)–(14)."""
+    """Φₐ, Cₐ, Q, R of the active observer, written out from the paper's (11)–(14), with a Jordan block for p."""
     Phi, Gamma = contact_model(jnp.asarray(params.Khat_s), jnp.asarray(params.K2), T_S)
-    Phi_a = np.zeros((4, 4))
+    order = params.disturbance_order
+    Phi_a = np.zeros((3 + order, 3 + order))
     Phi_a[:3, :3], Gamma_r = delayed(np.asarray(Phi), np.asarray(Gamma))
-    Phi_a[:3, 3:] = Gamma_r
-    Phi_a[3, 3] = 1.0
-    Q = np.diag([float(params.Q_x)] * 3 + [float(params.Q_p)])
-    return Phi_a, np.array([1.0, 0.0, 0.0, 0.0]), Q, float(params.R)
+    Phi_a[:3, 3:4] = Gamma_r
+    Phi_a[3:, 3:] = np.eye(order) + np.eye(order, k=1)
+    Q = np.diag([float(params.Q_x)] * 3 + [0.0] * (order - 1) + [float(params.Q_p)])
+    return Phi_a, np.eye(3 + order)[0], Q, float(params.R)
 
 
 @pytest.mark.parametrize(
     "params",
-    [Params(), Params(Khat_s=500.0), Params(Q_p=100.0, Q_x=1e-2, K2=100.0), Params(Q_p=0.01, R=2.0, Khat_s=1900.0)],
+    [
+        Params(),
+        Params(Khat_s=500.0),
+        Params(Q_p=100.0, Q_x=1e-2, K2=100.0),
+        Params(Q_p=0.01, R=2.0, Khat_s=1900.0),
+        *(Params(Q_p=Q_p, K2=40.0, disturbance_order=2) for Q_p in (1.0, 1e-6)),
+        *(Params(Q_p=Q_p, K2=40.0, disturbance_order=3) for Q_p in (1.0, 1e-9)),
+    ],
 )
 def test_riccati_solution_is_scipys(params: Params) -> None:
     Phi, c, Q, R = augmented(params)
@@ -213,16 +221,17 @@ def test_mask_is_exact_at_width_one_and_feels_its_horizon_when_wider() -> None:
 NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 
 
-@pytest.mark.parametrize("architecture", ["mpc-aob", "aob", "mpc"])
+@pytest.mark.parametrize(("architecture", "order"), [("mpc-aob", 1), ("aob", 1), ("mpc", 1), ("mpc-aob", 2)])
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
-def test_gradient_of_the_design_is_the_central_difference(architecture: str, mode: str) -> None:
+def test_gradient_of_the_design_is_the_central_difference(architecture: str, order: int, mode: str) -> None:
     """Relative to the largest component over log-parameters: scale-free, and R and δ stay fixed."""
     point = jnp.log(jnp.array([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0]))
-    shapes = [(2,), (2,), (4,), (3,), (), (HP_MAX,), (2,), ()]
+    shapes = [(2,), (2,), (3 + order,), (3,), (), (HP_MAX,), (2,), ()]
     weights = [np.random.default_rng(i).standard_normal(shape) for i, shape in enumerate(shapes)]
 
     def gains_at(x: jax.Array) -> Gains:
-        return design_one(Params(**dict(zip(NAMES, jnp.exp(x), strict=True)), architecture=architecture), T_S)[0]
+        values = dict(zip(NAMES, jnp.exp(x), strict=True))
+        return design_one(Params(**values, architecture=architecture, disturbance_order=order), T_S)[0]
 
     scales = [max(1.0, float(jnp.max(jnp.abs(g)))) for g in gains_at(point)]
 
