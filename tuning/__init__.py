@@ -1,14 +1,32 @@
-"""Gradient autotuning: the worst residual over tissue, axis and motion is minimised, the stability margins are held."""
+"""Gradient autotuning: the residual over tissues and scenarios is minimised, the stability margins are held."""
 
 from pathlib import Path
 
 from jaxmpc.precision import in_float64
-from tuning.optimise import descend
-from tuning.report import before_after_figure, history_figure, report
-from tuning.result import TuneResult, judge, write
-from tuning.spec import Settings, TuneSpec
+from tuning.figures import before_after_figure, history_figure
+from tuning.files import write
+from tuning.front import Front, pareto
+from tuning.ladder import climb
+from tuning.report import report
+from tuning.result import TuneResult, judge
+from tuning.risk import Risk
+from tuning.scenarios import Scenarios
+from tuning.settings import Settings
+from tuning.spec import TuneSpec
 
-__all__ = ["Settings", "TuneResult", "TuneSpec", "before_after_figure", "history_figure", "report", "tune"]
+__all__ = [
+    "Front",
+    "Risk",
+    "Scenarios",
+    "Settings",
+    "TuneResult",
+    "TuneSpec",
+    "before_after_figure",
+    "history_figure",
+    "pareto",
+    "report",
+    "tune",
+]
 
 
 @in_float64
@@ -23,7 +41,7 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
         progress: Whether to show progress on standard error.
 
     Returns:
-        The tuned parameters with the comparison on held-out motion seeds.
+        The tuned parameters with the comparison on held-out scenarios.
 
     Raises:
         InputError: The folder holds the state of another spec, or a damaged one.
@@ -31,7 +49,7 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
-    result = judge(spec, descend(spec, place, progress))
+    result = judge(climb(spec, place, progress), progress)
     if place is not None:
         write(result, place)
     return result

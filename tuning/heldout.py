@@ -1,4 +1,4 @@
-"""Controllers side by side on motion that no tuner saw, and their margins of both kinds, in one compiled program."""
+"""Controllers side by side on scenarios that no tuner saw."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -11,53 +11,85 @@ import numpy as np
 from jaxmpc.engine.once import JitOnce
 from jaxmpc.engine.rollout import scalars
 from jaxmpc.experiment import Experiment
+from jaxmpc.metrics import Metrics
 from jaxmpc.params import Params
+from jaxmpc.progress import progress
 from jaxmpc.scene import Scene, World, run_cells, world_of
-from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design_one
-from tuning.objective import judged_contact, scene_over_seeds
+from tuning.scenarios import scene_over
+from tuning.spec import TuneSpec
 
-KINDS = {"as run": False, "ideal": True}
-"""Names of the two kinds of margins, and whether the damping is ideal."""
+BLOCK = 12
+"""Scenarios that run at a time: one program serves any number of them."""
 
 
-def compare(batch: Params, experiment: Experiment, seeds: Sequence[int]) -> tuple[np.ndarray, dict[str, Margins]]:
-    """Residuals on every seed over the whole experiment, and margins, of a batch of controllers.
+def compare(controllers: Sequence[Params], experiments: Sequence[Experiment], show: bool = False) -> Metrics:
+    """What is measured of several controllers in each scenario.
 
     Args:
-        batch: The controllers, one leading dimension.
-        experiment: What they meet.
-        seeds: Motion seeds.
+        controllers: The controllers; of one structure they run side by side.
+        experiments: Scenarios of one experiment.
+        show: Whether to show progress.
 
     Returns:
-        Residual RMS (controllers, seeds, stiffness, 3), NaN where unstable [N]; and margins as `jaxmpc.margins` defines
-        them, "as run" and "ideal", each field (controllers, stiffness).
+        Each field (controllers, scenarios, stiffness, 3); NaN where a run left the finite numbers or 1 kN.
     """
-    scene = scene_over_seeds(experiment, seeds, experiment.duration, experiment.settle)
-    world = world_of(experiment)
-    rms, found = jax.tree.map(np.asarray, _compare(batch, scene, world))
-    by_kind = {kind: Margins(*(field[..., i] for field in found)) for i, kind in enumerate(KINDS)}
-    stable = by_kind["ideal" if world.ideal else "as run"].spectral_radius < 1.0
-    rms = np.where(stable[..., None], rms, np.nan)
-    return rms.reshape(*stable.shape, len(seeds), 3).swapaxes(1, 2), by_kind
+    if len({tuple(params.structure.values()) for params in controllers}) == 1:
+        return _compare(Params.stack(controllers), experiments, show)
+    parts = [_compare(Params.stack([params]), experiments, show) for params in controllers]
+    whole: Metrics = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
+    return whole
+
+
+def versus(
+    spec: TuneSpec, candidates: Sequence[Params], met: Sequence[Experiment], show: bool = False
+) -> tuple[Metrics, list[Metrics]]:
+    """A job's controller before tuning, and others, in the same scenarios.
+
+    Returns:
+        Of the one before and of each candidate, every field (scenarios, stiffness, 3).
+    """
+    if spec.met_before(met) == list(met):
+        runs = compare([spec.before, *candidates], met, show)
+    else:
+        parts = compare([spec.before], spec.met_before(met), show), compare(candidates, met, show)
+        runs = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
+    before, *each = (jax.tree.map(lambda field, i=i: field[i], runs) for i in range(1 + len(candidates)))
+    return before, each
+
+
+def _compare(batch: Params, experiments: Sequence[Experiment], show: bool) -> Metrics:
+    world, count = world_of(experiments[0]), len(experiments)
+    block = min(BLOCK, count)
+    parts = []
+    with progress("compare", count, "scenarios", show) as tick:
+        for first in range(0, count, block):
+            # The last block is filled up with its own last scenario.
+            rows = [experiments[min(first + i, count - 1)] for i in range(block)]
+            parts.append(jax.tree.map(np.asarray, _run(batch, scene_over(rows), world)))
+            tick(min(first + block, count), "")
+    found: Metrics = jax.tree.map(lambda *fields: np.concatenate(fields, axis=1)[:, :count], *parts)
+    return found
 
 
 @partial(JitOnce, static_argnames=("world",))
-def _compare(batch: Params, scene: Scene, world: World) -> tuple[Any, Margins]:
+def _run(batch: Params, scene: Scene, world: World) -> Metrics:
     def one(params: Params) -> Any:
-        gains, residual = design_one(params, scene.T_s)
+        gains, _ = design_one(params, scene.T_s)
+        filters = scene.delay, world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
+        contacts = jax.vmap(lambda K_s: contact_of(K_s, params.K2, scene.T_s, *filters))(scene.stiffness)
+        return scalars(gains, world.preview), contacts
 
-        def on_tissue(K_s: Any) -> Any:
-            contact = contact_of(
-                K_s, params.K2, scene.T_s, scene.delay, world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
-            )
-            kinds = [judged_contact(K_s, params.K2, scene, ideal) for ideal in KINDS.values()]
-            judged = jax.tree.map(lambda *leaves: jnp.stack(leaves), *kinds)
-            # With ideal damping both cuts are the same, so one program serves both kinds.
-            return contact, jax.vmap(lambda contact: margins_one(gains, contact, False, residual))(judged)
+    gains, contacts = jax.vmap(one)(batch)
+    ran = run_cells(world, gains, batch.K2, contacts, scene, "float64")
 
-        return scalars(gains, world.preview), *jax.vmap(on_tissue)(scene.stiffness)
+    def per_scenario(field: Any) -> Any:
+        """Scenarios before the stiffness: (controllers, scenarios, stiffness, 3)."""
+        return jnp.moveaxis(field.reshape(*field.shape[:2], -1, 3), 2, 1)
 
-    gains, contacts, found = jax.vmap(one)(batch)
-    return run_cells(world, gains, batch.K2, contacts, scene, "float64").metrics.rms, found
+    cells: Metrics = jax.tree.map(per_scenario, ran.metrics)
+    finite = jnp.isfinite(cells.rms) & jnp.isfinite(cells.peak_to_peak) & (cells.peak_force < 1e3)
+    kept = jnp.all(finite, axis=-1, keepdims=True)
+    held: Metrics = jax.tree.map(lambda field: jnp.where(kept, field, jnp.nan), cells)
+    return held

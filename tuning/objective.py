@@ -1,32 +1,34 @@
-"""What is minimised: the worst residual over tissue, axis and motion, with the margins held, and its gradient."""
+"""What is minimised: the soft goals over tissues and scenarios, the hard ones held, and its gradient."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import msgspec
 from jaxtyping import Array, Float
 
-from jaxmpc.engine.rollout import scalars
-from jaxmpc.experiment import Experiment
+from jaxmpc.engine.cells import over_cells
+from jaxmpc.engine.rollout import AxisSignals, run, scalars
 from jaxmpc.law.cascade import Gains
-from jaxmpc.params import Params
-from jaxmpc.scene import Scene, World, run_cells, scene_of, side_by_side
+from jaxmpc.metrics import Metrics
+from jaxmpc.params import HP_MAX, Params
+from jaxmpc.scene import Scene, World, run_cells
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
+from jaxmpc.stability.residual import residual_rms
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.contact import Contact, hertz
-from tuning.goals import standing
+from tuning.goals import OVERSHOOT, measured, standing
+from tuning.risk import Risk, soft_worst
 from tuning.transforms import Axis, Space
 
-ORDER = 24
-"""Order of the mean that stands for the worst case: equal to it where all cells are, 10 % below for one of 18 alone."""
 PENALTY = 10.0
 """Price of a violation in units of log residual: above its Lagrange multiplier (some 2) the penalty is exact."""
 HEADROOM = 0.002
 """How far inside their limits the goals are aimed at, so that the last steps do not hover outside [-]."""
+STEP_SAMPLES = 512
+"""Length of the step response in which the overshoot is looked for [samples]."""
 
 
 class Values(NamedTuple):
@@ -34,48 +36,20 @@ class Values(NamedTuple):
 
     loss: Any
     gradient: Any
+    score: Any
+    """Risk of the soft goals [-]; NaN where unstable."""
     worst: Any
-    """Largest residual RMS over stiffness, axis and seed; NaN where unstable [N]."""
+    """Largest residual RMS over stiffness, axis and scenario; NaN where unstable [N]."""
+    tissue: Any
+    """Where the soft goals stand worst, index into the stiffnesses."""
     M_s: Any
-    """Peak sensitivity per stiffness [-]."""
-    normalised: Any
-    """Goals, (starts, goals, stiffness); met at 1 and below [-]."""
-
-
-def scene_over_seeds(experiment: Experiment, seeds: Sequence[int], duration: float, settle: float) -> Scene:
-    """An experiment on several motion seeds at once, as if each seed had three axes of its own."""
-    cut = msgspec.structs.replace(experiment, duration=duration, settle=settle)
-    return side_by_side([scene_of(cut.with_seed(seed)) for seed in seeds])
-
-
-def soft_worst(residuals: Float[Array, "starts ..."]) -> Float[Array, " starts"]:
-    """Mean of order `ORDER` over all but the first dimension: a maximum whose slope moves smoothly between cells."""
-    cells = residuals.reshape(len(residuals), -1)
-    highest = jax.lax.stop_gradient(jnp.max(cells, axis=1))
-    return highest * jnp.mean((cells / highest[:, None]) ** ORDER, axis=1) ** (1.0 / ORDER)
-
-
-def judged_contact(K_s: Any, K2: Any, scene: Scene, ideal: bool) -> Contact:
-    """The world in which `jaxmpc.margins` judges: it runs through the WAM's filters or, if ideal, through none."""
-    sensor = 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ)
-    return contact_of(K_s, K2, scene.T_s, scene.delay, ideal, VELOCITY_CUTOFF, sensor)
-
-
-def design_and_goal_margins(
-    params: Params, scene: Scene, width: Any, *, ideal_run: bool, ideal_goals: bool
-) -> tuple[Gains, Contact, Margins]:
-    """Gains, the worlds to run in, and the margins to judge by; the latter as `jaxmpc.margins` defines them."""
-    gains, residual = design_one(params, scene.T_s, width)
-
-    def one(K_s: Any) -> tuple[Contact, Margins]:
-        world = contact_of(
-            K_s, params.K2, scene.T_s, scene.delay, ideal_run, scene.velocity_cutoff, scene.sensor_cutoff
-        )
-        judged = judged_contact(K_s, params.K2, scene, ideal_goals)
-        return world, margins_one(gains, judged, ideal_goals, residual)
-
-    contacts, found = jax.vmap(one)(scene.stiffness)
-    return gains, contacts, found
+    """Peak sensitivity per stiffness at which margins are judged [-]."""
+    hard: Any
+    """Hard goals at their worst, (starts, goals), margins first; met at 1 and below [-]."""
+    soft: Any
+    """Soft goals at their worst, (starts, goals) [-]."""
+    cells: Metrics
+    """(starts, stiffness, scenarios, 3)"""
 
 
 class Kind(NamedTuple):
@@ -85,47 +59,147 @@ class Kind(NamedTuple):
     ideal_goals: bool
     world: World
     precision: str
+    risk: Risk
 
 
 class Data(NamedTuple):
     """What a program takes besides the starts."""
 
     scene: Scene
+    spectra: Any
+    """Of the scenarios, stacked: then no time is stepped. Else None."""
     base: Params
     """Values of what is frozen."""
-    limits: Mapping[str, Any]
-    """Limit per goal."""
+    margins: Mapping[str, Any]
+    """Hard goals on margins: limit per start, (starts,)."""
+    hard: Mapping[str, Any]
+    """Hard goals on the runs, (starts,)."""
+    soft: Mapping[str, Any]
+    """Soft goals, all on the runs."""
+    judged_at: Any
+    """Stiffnesses at which margins are judged [N/m]."""
+    reference: Metrics
+    """Of the start point, (stiffness, scenarios, 3); for goals that are ratios."""
+
+
+def judged_contact(K_s: Any, K2: Any, scene: Scene, ideal: bool) -> Contact:
+    """The world in which `jaxmpc.margins` judges: it runs through the WAM's filters or, if ideal, through none."""
+    sensor = 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ)
+    return contact_of(K_s, K2, scene.T_s, scene.delay, ideal, VELOCITY_CUTOFF, sensor)
+
+
+class Designed(NamedTuple):
+    """One controller, the worlds that it runs in, and how it stands to its margins."""
+
+    params: Params
+    gains: Gains
+    contacts: Contact
+    """(stiffness,)"""
+    found: Margins
+    """(judged_at,)"""
+
+
+def designed(params: Params, data: Data, width: Any, kind: Kind) -> Designed:
+    """Design one controller and judge its margins as `jaxmpc.margins` defines them; traceable."""
+    scene = data.scene
+    gains, residual = design_one(params, scene.T_s, width)
+
+    def contact(K_s: Any) -> Contact:
+        filters = scene.delay, kind.world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
+        return contact_of(K_s, params.K2, scene.T_s, *filters)
+
+    def judge(K_s: Any) -> Margins:
+        judged = judged_contact(K_s, params.K2, scene, kind.ideal_goals)
+        return margins_one(gains, judged, kind.ideal_goals, residual)
+
+    return Designed(params, gains, jax.vmap(contact)(scene.stiffness), jax.vmap(judge)(data.judged_at))
+
+
+def cells_of(controllers: Designed, data: Data, kind: Kind) -> Metrics:
+    """What is measured of every controller, (starts, stiffness, scenarios, 3); traceable.
+
+    From spectra it is the residual RMS alone, the other metrics are NaN.
+    """
+    scene, world = data.scene, kind.world
+    if data.spectra is None:
+        gains = jax.vmap(lambda g: scalars(g, world.preview))(controllers.gains)
+        ran = run_cells(world, gains, controllers.params.K2, controllers.contacts, scene, kind.precision)
+        flat = jax.tree.map(lambda leaf: leaf.astype(jnp.float64), ran.metrics)
+        cells: Metrics = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:2], -1, 3), flat)
+        return cells
+    over_scenarios = jax.vmap(residual_rms, in_axes=(None, None, 0))
+    over_tissues = jax.vmap(over_scenarios, in_axes=(None, 0, None))
+    rms = jax.vmap(over_tissues, in_axes=(0, 0, None))(controllers.gains, controllers.contacts, data.spectra)
+    return Metrics(rms, *(jnp.full_like(rms, jnp.nan),) * (len(Metrics._fields) - 1))
+
+
+def overshoot_of(controllers: Designed, kind: Kind) -> Float[Array, "starts stiffness"]:
+    """How far the force of the linear loop exceeds a step of its reference, relative to the step; traceable."""
+    quiet, one = jnp.zeros((1, STEP_SAMPLES)), jnp.ones((1, STEP_SAMPLES))
+    wanted = jnp.ones((1, STEP_SAMPLES, HP_MAX if kind.world.preview else 1))
+    gains = jax.vmap(lambda g: scalars(g, kind.world.preview))(controllers.gains)
+    metrics, _ = over_cells(run, gains, controllers.contacts, jnp.zeros(1), AxisSignals(quiet, quiet, wanted, one))
+    return jnp.maximum(metrics.peak_force[..., 0] - 1.0, 0.0)
 
 
 def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> tuple[Float[Array, " starts"], Any]:
     """Loss of every start; traceable. Starts are innermost in the time loop, so they cost little.
 
     Returns:
-        Loss [-]; and the worst residual [N], M_s and the normalised goals, as in `Values`.
+        Loss [-]; and the fields of `Values` after the gradient.
     """
-    scene, space = data.scene, Space(data.base, kind.axes)
+    space = Space(data.base, kind.axes)
 
-    def design(vector: Array) -> Any:
-        params = space.decode(vector, width)
-        gains, contacts, found = design_and_goal_margins(
-            params, scene, width, ideal_run=kind.world.ideal, ideal_goals=kind.ideal_goals
-        )
-        return scalars(gains, kind.world.preview), params.K2, contacts, found, standing(found, data.limits, HEADROOM)
+    def one(vector: Array, limits: Any) -> tuple[Designed, Any]:
+        controller = designed(space.decode(vector, width), data, width, kind)
+        return controller, standing(controller.found, limits, HEADROOM)
 
-    gains, K2, contacts, found, goals = jax.vmap(design)(z)
-    stable = jnp.all(found.spectral_radius < 1.0, axis=1)
+    controllers, margin_goals = jax.vmap(one)(z, data.margins)
+    stable = jnp.all(controllers.found.spectral_radius < 1.0, axis=1)
     # An unstable loop would run away and make even the unused slope NaN: it stands still instead.
-    gains = jax.tree.map(lambda gain: jnp.where(stable, gain, 0.0), gains)
-    ran = run_cells(kind.world, gains, K2, contacts, scene, kind.precision)
-    residuals = ran.metrics.rms.astype(jnp.float64)
-    loss = jnp.where(stable, jnp.log(soft_worst(residuals)), 0.0) + PENALTY * goals.violation
-    worst = jnp.where(stable, jnp.max(residuals, axis=(1, 2)), jnp.nan)
-    return loss, (worst, found.M_s, goals.normalised)
+    safe = controllers._replace(gains=jax.tree.map(lambda gain: _where(stable, gain, 0.0), controllers.gains))
+    cells = cells_of(safe, data, kind)
+    overshoot = overshoot_of(safe, kind) if OVERSHOOT in {*data.hard, *data.soft} else None
+
+    def goals(limits: Mapping[str, Any]) -> dict[str, Array]:
+        wide = {name: jnp.reshape(limits[name], (-1, 1, 1, 1)) for name in seen(limits, data)}
+        return measured(cells, data.reference, overshoot, wide)
+
+    # Without time there is no peak: a job that asks for nothing else is led by its residual.
+    soft, hard = goals(data.soft) or {"rms": cells.rms}, goals(data.hard)
+    per_scenario = jnp.concatenate([jnp.moveaxis(goal, 2, 1).reshape(*goal.shape[::2], -1) for goal in _wide(soft)], 2)
+    risk = kind.risk.over(soft_worst(per_scenario))
+    largest = {name: jnp.max(goal, axis=(1, 2, 3)) for name, goal in {**soft, **hard}.items()}
+    missed = sum((jnp.maximum(1.0 - 1.0 / largest[name] + HEADROOM, 0.0) for name in hard), jnp.zeros(len(z)))
+    log_risk = jnp.log(jnp.where(stable & (risk > 0.0), risk, 1.0))
+    loss = log_risk + PENALTY * (margin_goals.violation + jnp.where(stable, missed, 0.0))
+
+    def where_stable(value: Array) -> Array:
+        return _where(stable, value, jnp.nan)
+
+    tissue = jnp.argmax(jnp.max(jnp.stack([jnp.max(goal, axis=(2, 3)) for goal in soft.values()]), axis=0), axis=1)
+    at_worst = [jnp.max(margin_goals.normalised, axis=2)] + [largest[name][:, None] for name in hard]
+    return loss, (
+        where_stable(risk),
+        where_stable(jnp.max(cells.rms, axis=(1, 2, 3))),
+        tissue,
+        controllers.found.M_s,
+        jnp.where(stable[:, None], jnp.concatenate(at_worst, axis=1), jnp.inf),
+        where_stable(jnp.stack([largest[name] for name in soft], axis=1)),
+        jax.tree.map(where_stable, cells),
+    )
 
 
 @partial(jax.jit, static_argnames=("kind",))
+def measure(params: Params, data: Data, kind: Kind) -> Metrics:
+    """What is measured of one controller, (stiffness, scenarios, 3)."""
+    one = jax.tree.map(lambda leaf: leaf[None], designed(params, data, 1.0, kind))
+    cells: Metrics = jax.tree.map(lambda leaf: leaf[0], cells_of(one, data, kind))
+    return cells
+
+
 def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> Values:
-    """One look at all starts, in reverse mode; compiled once per `kind` and shapes."""
+    """One look at all starts, in reverse mode; traceable."""
 
     def total(z: Array) -> tuple[Array, Any]:
         loss, rest = look(z, data, width, kind)
@@ -133,3 +207,18 @@ def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, k
 
     (_, (loss, *rest)), gradient = jax.value_and_grad(total, has_aux=True)(z)
     return Values(loss, gradient, *rest)
+
+
+def seen(goals: Mapping[str, Any], data: Data) -> tuple[str, ...]:
+    """The goals on the runs that a level can see: without time there are no peaks, only residuals."""
+    return tuple(name for name in goals if data.spectra is None or name.partition("_")[0] in ("rms", OVERSHOOT))
+
+
+def _where(stable: Array, value: Array, otherwise: float) -> Array:
+    return jnp.where(stable.reshape(-1, *(1,) * (value.ndim - 1)), value, otherwise)
+
+
+def _wide(goals: Mapping[str, Array]) -> list[Array]:
+    """Goals with the same number of scenarios: the overshoot has one for all."""
+    scenarios = max(goal.shape[2] for goal in goals.values())
+    return [jnp.broadcast_to(goal, (*goal.shape[:2], scenarios, goal.shape[3])) for goal in goals.values()]

@@ -1,9 +1,9 @@
-"""The descent: all starts side by side, horizons first soft and then whole; the best that holds its goals is kept."""
+"""The descent: all starts side by side, horizons first soft and then whole; the best of each is kept."""
 
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,15 +12,12 @@ import optax
 from jaxtyping import Array
 
 from jaxmpc.progress import progress
-from jaxmpc.scene import world_of
-from tuning.objective import Data, Kind, Values, scene_over_seeds, value_and_gradient
+from tuning.problem import Problem
 from tuning.spec import TuneSpec
-from tuning.state import State, load, save
+from tuning.state import NAME, State, load, save
 
 CLIP = 1.0
 """Largest norm of one start's gradient: one that grazes instability must not fill Adam's memory."""
-SCREENED = 16
-"""Random points looked at for each start."""
 SOFTEST = 8.0
 """Width of the horizons' mask at the beginning [samples]."""
 ANNEALED = 0.5
@@ -34,11 +31,22 @@ PATIENCE = 30
 SAVE_EVERY = 5.0
 """Seconds between two saved states."""
 
-Look = Callable[[Any, float], Values]
+
+class Schedule(NamedTuple):
+    """What changes from look to look."""
+
+    widths: np.ndarray
+    """Of the horizons' mask [samples]."""
+    rates: np.ndarray
+    """Of learning."""
+    polish: int
+    """The look at which polishing begins."""
+    patience: int = PATIENCE
+    """Looks without gain until it stops."""
 
 
-def schedule(steps: int, soft: bool, rate: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Mask width [samples] and learning rate of every look, and the look at which polishing begins.
+def schedule(steps: int, soft: bool, rate: float) -> Schedule:
+    """A descent of so many steps, half of them with soft horizons if wanted.
 
     Look 0 sees the starts as they are, with whole horizons, and moves nothing; so the result is never
     worse than a feasible start.
@@ -49,7 +57,7 @@ def schedule(steps: int, soft: bool, rate: float) -> tuple[np.ndarray, np.ndarra
         along = np.arange(length) / max(length, 1)
         widths.append(width ** (1.0 - along))
         rates.append(rate * (FINAL_RATE + (1.0 - FINAL_RATE) * 0.5 * (1.0 + np.cos(np.pi * along))))
-    return np.concatenate(widths), np.concatenate(rates), 1 + annealed
+    return Schedule(np.concatenate(widths), np.concatenate(rates), 1 + annealed)
 
 
 def optimiser() -> tuple[Callable[[Any], Any], Callable[..., Any]]:
@@ -65,62 +73,65 @@ def optimiser() -> tuple[Callable[[Any], Any], Callable[..., Any]]:
     return jax.jit(jax.vmap(chain.init)), jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
 
 
-def starts_of(spec: TuneSpec, look: Look) -> np.ndarray:
-    """The given parameters first, then the most promising of many random ones: there is more than one valley."""
-    space, count = spec.space, spec.tune.starts
-    drawn = space.draw(SCREENED * count, spec.tune.seed)
-    losses = np.concatenate([look(part, 1.0).loss for part in np.split(drawn, SCREENED)])
-    order = np.argsort(losses, stable=True)
-    return np.concatenate([space.encode(spec.params)[None], drawn[order[: count - 1]]])
-
-
-def looker(spec: TuneSpec) -> Look:
-    """Value and gradient of a spec's starts as f(z, width)."""
-    experiment, tune = spec.experiment, spec.tune
-    scene = scene_over_seeds(experiment, tune.train_seeds, tune.duration, tune.settle)
-    data = jax.tree.map(jnp.asarray, Data(scene, spec.params, dict(spec.goals)))
-    kind = Kind(
-        axes=spec.space.axes,
-        ideal_goals=spec.ideal,
-        world=world_of(experiment),
-        precision=tune.precision,
-    )
-    return lambda z, width: Values(*map(np.asarray, value_and_gradient(z, data, width, kind)))
-
-
-def descend(spec: TuneSpec, folder: Path | None, show: bool) -> State:
-    """Run the descent, or continue it from the state in its folder.
+def descend(
+    spec: TuneSpec,
+    problem: Problem,
+    z: np.ndarray,
+    plan: Schedule,
+    folder: Path | None = None,
+    name: str = NAME,
+    show: bool = False,
+) -> State:
+    """Run a descent, or continue it from the state in its folder.
 
     Args:
-        spec: What to tune.
+        spec: The job.
+        problem: Its problem on one level.
+        z: The starts, (starts, size).
+        plan: What changes from look to look.
         folder: Where the state is kept; None keeps none.
+        name: Under which name.
         show: Whether to show progress.
     """
-    look, space = looker(spec), spec.space
-    soft = any(axis.name in ("Hp", "Hu") for axis in space.axes)
-    widths, rates, polish = schedule(spec.tune.steps, soft, spec.tune.learning_rate)
     begin, update = optimiser()
-    z = starts_of(spec, look)
-    state = State.new(z, begin(jnp.asarray(z)), len(widths), len(spec.experiment.stiffness))
+    goals = len(spec.margin_goals) + len(problem.hard_goals), len(problem.soft_goals)
+    state = State.new(z, begin(jnp.asarray(z)), len(plan.widths), goals)
     if folder is not None:
-        state = load(folder, spec.digest, state)
+        state = load(folder, spec.digest, state, name)
     saved = time.monotonic()
-    with progress("tune", len(widths), "steps", show) as tick:
-        while state.look < len(widths) and not state.stalled(PATIENCE, polish):
+    with progress(f"tune ({name_of(name)})", len(plan.widths), "steps", show) as tick:
+        while state.look < len(plan.widths) and not state.stalled(plan.patience, plan.polish):
             i = state.look
-            if i == polish:
+            if i == plan.polish:
                 # What Adam remembers of soft horizons would push the whole ones around.
                 state.memory = begin(jnp.asarray(state.z))
-            values = look(state.z, float(widths[i]))
-            state.record(values, exact=widths[i] == 1.0, worth=WORTH)
-            moved, state.memory, usable = update(state.z, state.memory, values.gradient, rates[i])
+            values = problem.look(state.z, float(plan.widths[i]))
+            state.record(values, exact=plan.widths[i] == 1.0, worth=WORTH)
+            moved, state.memory, usable = update(state.z, state.memory, values.gradient, plan.rates[i])
             state.z = np.asarray(moved)
             state.skipped += ~np.asarray(usable)
             state.look += 1
-            tick(state.look, state.note())
+            tick(state.look, note(spec, state))
             if folder is not None and time.monotonic() - saved > SAVE_EVERY:
-                save(folder, spec.digest, state)
+                save(folder, spec.digest, state, name)
                 saved = time.monotonic()
     if folder is not None:
-        save(folder, spec.digest, state)
+        save(folder, spec.digest, state, name)
     return state
+
+
+def name_of(state: str) -> str:
+    """The level or round that a state belongs to, from the name of its file."""
+    return state.removesuffix(".npz").removeprefix("state").lstrip("-") or "state"
+
+
+def note(spec: TuneSpec, state: State) -> str:
+    """One line for the progress display: goals, worst tissue and parameters of the leading start."""
+    i, leader = state.look - 1, state.leader
+    best = f"best {state.best.min():.3f}" if state.feasible else f"goals missed by × {state.closest.min():.2f}"
+    tissue = spec.experiment.stiffness[int(np.nan_to_num(state.tissue[i, leader]))]
+    values = spec.space.values(state.leader_z)
+    named = ", ".join(f"{name} {value:.3g}" for name, value in list(zip(spec.space.names, values, strict=True))[:8])
+    skips = f", {state.skipped.sum()} steps skipped" if state.skipped.any() else ""
+    now = f"RMS {1e3 * state.worst[i, leader]:.1f} mN, worst at {tissue:g} N/m, M_s {state.M_s[i, leader]:.2f}"
+    return f"{best}; {now}; {named}{skips}"

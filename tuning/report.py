@@ -1,134 +1,138 @@
-"""A tuning run for people: the table before and after, and two figures."""
+"""A tuning run as plain text: parameters, the table before and after, and how it stands to its goals."""
 
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
 from jaxmpc.experiment import AXES
-from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
 from jaxmpc.params import BOUNDS
-from tuning.heldout import KINDS
-from tuning.result import TuneResult
+from tuning.limits import active_margins
+from tuning.reached import kept, rows
+from tuning.result import KINDS, TuneResult
+from tuning.scenarios import describe
+from tuning.state import FEASIBLE
+
+MARGIN_HEADS = ("M_s", "gain up dB", "gain down dB", "phase deg", "delay ms")
+METRICS = (("rms", "residual RMS"), ("peak_to_peak", "residual peak to peak"))
 
 
 def report(result: TuneResult) -> str:
     """The whole result as plain text."""
     spec, (before, after) = result.spec, result.worst
-    lines = [
-        f"goals: {goals_text(result)} at {', '.join(f'{K:g}' for K in spec.experiment.stiffness)} N/m",
-        result.unmet() or "all goals are met",
-        "",
-        f"{'parameter':<10} {'before':>12} {'after':>12}  unit",
-    ]
-    for axis in spec.space.axes:
-        values = (_short(np.asarray(getattr(params, axis.name))) for params in (spec.params, result.params))
-        lines.append(f"{axis.name:<10} " + " ".join(f"{value:>12}" for value in values) + f"  {BOUNDS[axis.name][2]}")
-    lines += ["", f"residual RMS on {len(spec.tune.heldout_seeds)} held-out motion seeds, worst [mN]"]
-    lines.append(f"{'K_s [N/m]':<10} " + " ".join(f"{axis + ' before':>10} {axis + ' after':>10}" for axis in AXES))
-    for i, K_s in enumerate(spec.experiment.stiffness):
-        cells = result.heldout[:, :, i].max(axis=1)
-        lines.append(f"{K_s:<10g} " + " ".join(f"{_millinewton(cell):>10}" for a in range(3) for cell in cells[:, a]))
     change = f" ({-100 * result.gain:+.1f} %)" if np.isfinite(result.gain) else ""
-    lines.append(f"worst of all: {_millinewton(before)} → {_millinewton(after)} mN{change}")
-    lines += ["", "margins after (before)"]
-    head = ("M_s", "gain up dB", "gain down dB", "phase deg", "delay ms")
-    lines.append(f"{'K_s [N/m]':<10} {'loop':<7}" + "".join(f"{name:>18}" for name in head))
-    for i, K_s in enumerate(spec.experiment.stiffness):
-        for kind in KINDS:
-            m = result.margins[kind]
-            columns = (m.M_s, m.gain_margin_db, m.gain_reduction_db, m.phase_margin_deg, 1e3 * m.delay_margin_s)
-            cells_text = "".join(f"{f'{c[1, i]:.2f} ({c[0, i]:.2f})':>18}" for c in columns)
-            lines.append(f"{K_s:<10g} {kind:<7}{cells_text}")
-    looks, skipped = result.state.look, int(result.state.skipped.sum())
-    lines += ["", f"{looks} looks at {len(result.state.z)} starts, {skipped} steps skipped for a gradient not finite"]
+    lines = [result.unmet() or "all hard goals are met", "", *_goals(result), "", *_parameters(result), ""]
+    lines += [f"{name}: {seeds}" for name, seeds in seeds_used(result)]
+    lines += [lost_text(result)] if not result.held.all() else []
+    for metric, title in METRICS:
+        lines += ["", *_heldout(result, metric, title)]
+    lines.append(f"worst RMS of all: {millinewton(before)} → {millinewton(after)} mN{change}")
+    lines += ["", f"worst margins over {spec.judged_at[0]:g}–{spec.judged_at[-1]:g} N/m, after (before)"]
+    lines.append(f"{'loop':<8}" + "".join(f"{name:>18}" for name in MARGIN_HEADS))
+    for kind in KINDS:
+        pairs = worst_margins(result, kind)
+        lines.append(f"{kind:<8}" + "".join(f"{f'{after:.2f} ({before:.2f})':>18}" for before, after in pairs))
+    for name, K_s, normalised in active_margins(result):
+        stands = "active" if normalised <= FEASIBLE else "missed"
+        lines.append(f"{name} is {stands} at {K_s:.4g} N/m, {100 * normalised:.1f} % of its limit")
+    lines.append("")
+    for step in result.steps:
+        state = step.state
+        skipped = f", {int(state.skipped.sum())} steps skipped for a gradient not finite" if state.skipped.any() else ""
+        added = f"; added {describe(step.added.trained)}" if step.added else ""
+        score = f"{state.best.min():.4f}" if state.feasible else "no feasible point"
+        lines.append(f"{step.name}: {state.look} looks at {len(state.z)} starts, score {score}{skipped}{added}")
     return "\n".join(lines) + "\n"
 
 
-def goals_text(result: TuneResult) -> str:
-    """The goals in a line."""
-    signs = {"M_s": "≤"}
-    goals = ", ".join(f"{name} {signs.get(name, '≥')} {limit:g}" for name, limit in result.spec.goals.items())
-    return f"{goals} ({'ideal damping' if result.spec.ideal else 'as run'})"
+def seeds_used(result: TuneResult) -> list[tuple[str, str]]:
+    """Which scenarios served for what."""
+    tune = result.spec.tune
+    added = [str(step.added.trained.motion.seed) for step in result.steps if step.added]
+    return [
+        ("training", _spans(tune.train_seeds)),
+        ("added by the worst-case search", ", ".join(added) or "none"),
+        ("validation", _spans(tune.validation_seeds)),
+        ("held out", _spans(tune.heldout_seeds)),
+    ]
 
 
-def history_figure(result: TuneResult, path: Path) -> None:
-    """Worst residual, worst M_s and the parameters over the steps, every start a line, the winner's in colour.
-
-    Args:
-        result: What `tune` returned.
-        path: Where the figure goes.
-    """
-    state, space = result.state, result.spec.space
-    looks, chosen = state.look, winner(result)
-    values = space.values(state.path[:looks])
-    shown = list(range(space.size)) if space.size <= 10 else [0]
-    columns = 5 if space.size > 1 else 3
-    rows = -(-(2 + len(shown)) // columns)
-    with figure(path, rows, columns, size=(2.6 * columns, 2.4 * rows)) as axes:
-        panels = np.ravel(axes)
-        _lines(panels[0], 1e3 * state.worst[:looks], chosen, "worst residual RMS [mN]")
-        panels[0].plot(1e3 * state.incumbent[:looks], color=ACCENT, lw=1.2, label="best that holds its goals")
-        panels[0].legend()
-        panels[0].set_yscale("log")
-        peaks = np.where(np.isfinite(state.M_s), state.M_s, np.nan).max(axis=2)[:looks]
-        _lines(panels[1], peaks, chosen, "M_s, worst stiffness")
-        panels[1].set_ylim(1.0, 6.0)
-        if "M_s" in result.spec.goals:
-            panels[1].axhline(result.spec.goals["M_s"], color=ACCENT, lw=1.0, ls="--", label="goal")
-            panels[1].legend()
-        for panel, i in zip(panels[2:], shown, strict=False):
-            name = space.names[i]
-            _lines(panel, values[:, :, i], chosen, f"{name} [{BOUNDS[name.partition('[')[0]][2]}]")
-            panel.set_yscale("linear" if name in ("Hp", "Hu") else "log")
-        for panel in panels[2 + len(shown) :]:
-            panel.set_visible(False)
+def lost_text(result: TuneResult) -> str:
+    """Which held-out scenarios were lost, in a sentence."""
+    seeds = np.asarray(result.spec.tune.heldout_seeds)
+    before, after = (", ".join(map(str, seeds[~held])) or "none" for held in result.held)
+    treated = "left out below" if result.held[0].any() else "all of them, so none is left out"
+    return f"lost before: {before}{f' ({treated})' if before != 'none' else ''}; lost after: {after}"
 
 
-def before_after_figure(result: TuneResult, path: Path) -> None:
-    """Held-out residual per stiffness and axis, before and after: bars of the median, whiskers over the seeds.
-
-    Args:
-        result: What `tune` returned.
-        path: Where the figure goes.
-    """
-    stiffness = result.spec.experiment.stiffness
-    places = np.arange(len(stiffness))
-    with figure(path, 1, 3, size=(8.0, 3.0)) as axes:
-        for a, panel in enumerate(axes):
-            for which, color, label in ((0, BASELINE, "before"), (1, TUNED, "after")):
-                cells = 1e3 * result.heldout[which, :, :, a]
-                middle = np.median(cells, axis=0)
-                spread = np.abs(np.stack([cells.min(axis=0), cells.max(axis=0)]) - middle)
-                at = places + 0.4 * (which - 0.5)
-                panel.bar(at, middle, 0.36, color=color, label=label)
-                panel.errorbar(at, middle, spread, fmt="none", ecolor="black", elinewidth=0.8, capsize=2)
-            panel.set_xticks(places, [f"{K:g}" for K in stiffness])
-            panel.set_xlabel("stiffness [N/m]")
-            panel.set_title(f"{AXES[a]} axis")
-        axes[0].set_ylabel(f"residual RMS [mN], {len(result.heldout[0])} unseen seeds")
-        axes[0].set_ylim(top=1.25 * axes[0].get_ylim()[1])
-        axes[0].legend(loc="upper right", ncols=2)
+def lowered(result: TuneResult, metric: str) -> np.ndarray:
+    """`TuneResult.lowered`, or NaN where the controller before held no scenario."""
+    if result.held[0].any():
+        return result.lowered(metric)
+    return np.full((len(result.spec.experiment.stiffness), 3), np.nan)
 
 
-def winner(result: TuneResult) -> int:
-    """The start from which the result came."""
-    wanted = result.state.best_z if result.feasible else result.state.closest_z
-    return int(np.argwhere((result.state.path[: result.state.look] == wanted).all(axis=2))[0, 1])
+def worst_margins(result: TuneResult, kind: str) -> list[tuple[float, float]]:
+    """Each of `MARGIN_HEADS` at its worst over the judged tissues, before and after."""
+    m = result.margins[kind]
+    columns = [np.max(m.M_s, axis=1), *(np.min(field, axis=1) for field in m[1:5])]
+    columns[4] = 1e3 * columns[4]
+    return [(float(before), float(after)) for before, after in columns]
 
 
-def _lines(panel: Any, columns: np.ndarray, chosen: int, title: str) -> None:
-    panel.plot(columns, color=BASELINE, lw=0.6, alpha=0.6)
-    panel.plot(columns[:, chosen], color=TUNED, lw=1.6)
-    panel.set_title(title)
-    panel.set_xlabel("step")
-
-
-def _millinewton(force: float) -> str:
+def millinewton(force: float) -> str:
     """A force in millinewton."""
     return f"{1e3 * force:.1f}" if np.isfinite(force) else "unstable"
 
 
-def _short(value: np.ndarray) -> str:
+def percent(share: float) -> str:
+    """How far something fell, as a change."""
+    # Without a zero that is negative.
+    return f"{round(-100.0 * share, 1) + 0.0:+.1f} %" if np.isfinite(share) else "–"
+
+
+def brief(value: np.ndarray) -> str:
     """A value, or the range of a diagonal."""
     return f"{value:.4g}" if value.ndim == 0 else f"{value.min():.2g}…{value.max():.2g}"
+
+
+def _goals(result: TuneResult) -> Iterator[str]:
+    yield f"{'goal':<32} {'before':>10} {'after':>10}  met"
+    for row in rows(result):
+        place = f", worst at {row.at:.4g} N/m" if row.at else ""
+        values = " ".join(f"{value:>10.4g}" for value in row.reached)
+        yield f"{f'{row.kind}: {row.text}':<32} {values}  {'yes' if row.met else 'no'}{place}"
+    spec = result.spec
+    kind = "ideal damping" if spec.ideal else "loop as it runs"
+    yield f"margins: {kind}; soft goals: {spec.risk.kind} over {len(spec.tune.train_seeds)} scenarios in training"
+
+
+def _parameters(result: TuneResult) -> Iterator[str]:
+    yield f"{'parameter':<10} {'before':>12} {'after':>12}  unit"
+    for axis in result.spec.space.axes:
+        values = (brief(np.asarray(getattr(params, axis.name))) for params in (result.spec.before, result.params))
+        yield f"{axis.name:<10} " + " ".join(f"{value:>12}" for value in values) + f"  {BOUNDS[axis.name][2]}"
+
+
+def _heldout(result: TuneResult, metric: str, title: str) -> Iterator[str]:
+    yield f"{title}, worst of the held-out scenarios [mN] and how far it fell over all of them"
+    yield f"{'K_s [N/m]':<10} " + " ".join(f"{axis + ' before':>9} {'after':>7} {'':>8}" for axis in AXES)
+    fell = lowered(result, metric)
+    for i, K_s in enumerate(result.spec.experiment.stiffness):
+        cells = getattr(result.heldout, metric)[:, kept(result), i].max(axis=1)
+        row = (
+            f"{millinewton(cells[0, a]):>9} {millinewton(cells[1, a]):>7} {percent(fell[i, a]):>8}" for a in range(3)
+        )
+        yield f"{K_s:<10g} " + " ".join(row)
+    yield f"least {percent(fell.min())}, median {percent(float(np.median(fell)))}"
+
+
+def _spans(seeds: tuple[int, ...]) -> str:
+    """Seeds, those in a row as a span."""
+    found: list[list[int]] = []
+    for seed in sorted(seeds):
+        if found and seed == found[-1][-1] + 1:
+            found[-1].append(seed)
+        else:
+            found.append([seed])
+    spans = (f"{span[0]}–{span[-1]}" if len(span) > 2 else ", ".join(map(str, span)) for span in found)
+    return ", ".join(spans) or "none"

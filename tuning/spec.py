@@ -1,12 +1,14 @@
 """What to tune, as a TOML file: experiment, starting point, free parameters, goals."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import msgspec
+import numpy as np
+from msgspec.structs import replace
 
 from jaxmpc.errors import InputError, nearest
 from jaxmpc.experiment import Experiment
@@ -14,37 +16,15 @@ from jaxmpc.job import experiment_table, params_table
 from jaxmpc.params import BOUNDS, DIAGONALS, Params
 from jaxmpc.sealed import digest
 from jaxmpc.spec import convert, known_keys, located, read_toml
-from jaxmpc.world.motion import Seed
-from tuning.goals import UNITS
+from tuning.goals import MARGINS, MEASURED, UNITS
+from tuning.risk import Risk
+from tuning.scenarios import Scenarios
+from tuning.settings import Level, Settings
 from tuning.transforms import FREE, HORIZONS, Space, axis_of
 
 Bounds = tuple[float, float]
-Count = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
-
-
-class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The table [tune]."""
-
-    steps: Count = 150
-    """Gradient steps at most: half with soft horizons, half polishing."""
-    starts: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 8
-    """The given parameters and random ones."""
-    seed: Seed = 0
-    """Draws the random starts."""
-    train_seeds: tuple[Seed, ...] = (0, 1)
-    """Motion seeds that the tuner sees."""
-    heldout_seeds: tuple[Seed, ...] = tuple(range(1000, 1020))
-    """Motion seeds that only the final comparison sees."""
-    duration: Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)] = 6.0
-    """Length of a training run [s]; held-out runs have the experiment's own."""
-    settle: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 1.5
-    """What is left out of its residual at the start [s]."""
-    learning_rate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.15
-    """Of Adam, in units of the parameters' scales."""
-    precision: Literal["float64", "float32"] = "float64"
-    """Of the time stepping. Float64 is also the faster one on a CPU: adjoints of float32 end in subnormals."""
-    diagonals: tuple[Literal["lam", "delta"], ...] = ()
-    """Free parameters of which each diagonal entry is tuned by itself."""
+SOFT = {"rms": 0.05}
+"""What is minimised unless the job says otherwise [N]."""
 
 
 class TuneSpec(msgspec.Struct, frozen=True, dict=True):
@@ -57,20 +37,34 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     experiment: Experiment
     params: Params
     """Where the first start stands, and the values of what is frozen."""
+    baseline: Params | None = None
+    """What the result is compared with, and what ratios are taken to; None is `params`."""
+    baseline_compensation: float | None = None
+    """Share of the joints' friction that this one compensates [-]; None is the experiment's, as for the tuned one."""
     tune: Settings = Settings()
     free: Mapping[str, Bounds | None] = msgspec.field(default_factory=lambda: dict.fromkeys(FREE))
     """Free parameters and their bounds; None takes the default ones."""
     goals: Mapping[str, float] = msgspec.field(default_factory=lambda: {"M_s": 2.0})
-    """Limits of the margins, held at every stiffness of the experiment."""
+    """Hard goals: limits that are held, of margins at every stiffness between the softest and the hardest."""
+    soft: Mapping[str, float] = msgspec.field(default_factory=lambda: dict(SOFT))
+    """Soft goals: what is minimised, each relative to its limit."""
     ideal: bool = False
     """Whether margins are those of the ideal loop, or of the loop as it runs."""
+    scenarios: Scenarios = Scenarios()
+    risk: Risk = Risk()
+    pareto: Mapping[str, tuple[float, ...]] = msgspec.field(default_factory=dict)
+    """Limits of hard goals for which the front is wanted; empty for no front."""
 
     def __post_init__(self) -> None:
-        _check_split(self.tune)
-        _check_goals(self.goals)
-        if self.tune.settle >= self.tune.duration:
-            remedy = "Lower settle or raise duration."
-            raise InputError("tune.settle", self.tune.settle, f"below duration (= {self.tune.duration:g} s)", remedy)
+        self.tune.check(self.experiment.physics)
+        self.scenarios.check(self.experiment)
+        _check_goals(self.goals, "goals", UNITS)
+        _check_goals(self.soft, "goals.soft", MEASURED)
+        for name, limits in self.pareto.items():
+            if not isinstance(limits, list | tuple) or not limits:
+                raise InputError(f"pareto.{name}", limits, "a list of limits", "Write such as [1.6, 2.0, 3.0].")
+            for limit in limits:
+                _check_goals({name: limit}, "pareto", UNITS)
         if self.params.batch_shape:
             raise InputError("params", f"a batch {self.params.batch_shape}", "one controller", "Give one start point.")
         if not self.free:
@@ -85,11 +79,55 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
                 remedy = f'Add "{name}" to tune.diagonals, or start from one number.'
                 raise InputError(f"params.{name}", "a diagonal", "one number to be tuned as one", remedy)
 
+    @property
+    def before(self) -> Params:
+        """The controller before tuning."""
+        return self.baseline or self.params
+
+    def met_before(self, met: Sequence[Experiment]) -> list[Experiment]:
+        """Scenarios as the controller before tuning meets them."""
+        share = self.baseline_compensation
+        if share is None or self.experiment.physics == "linear":
+            return list(met)
+        return [replace(one, arm=replace(one.arm, compensation=share)) for one in met]
+
+    def with_order(self, order: int) -> "TuneSpec":
+        """The same job with an active state of another order; Q_p then starts and moves where that order has it."""
+        if order == self.params.disturbance_order:
+            return self
+        axis = axis_of("Q_p", None, False, order)
+        values = {**self.params.to_dict(), "disturbance_order": order, "Q_p": float(np.sqrt(axis.low * axis.high))}
+        free = {name: None if name == "Q_p" else bounds for name, bounds in self.free.items()}
+        return replace(self, params=Params.from_dict(values), baseline=self.before, free=free)
+
     @cached_property
     def space(self) -> Space:
         """The free parameters as one vector."""
-        axes = [axis_of(name, bounds, name in self.tune.diagonals) for name, bounds in self.free.items()]
+        order = self.params.disturbance_order
+        axes = [axis_of(name, bounds, name in self.tune.diagonals, order) for name, bounds in self.free.items()]
         return Space(self.params, axes)
+
+    @property
+    def ladder(self) -> tuple[Level, ...]:
+        """The levels, the last of which decides."""
+        return self.tune.ladder(self.experiment.physics)
+
+    @cached_property
+    def judged_at(self) -> np.ndarray:
+        """Stiffnesses at which margins are judged [N/m]: the experiment's, and many between."""
+        own = np.asarray(self.experiment.stiffness)
+        between = np.geomspace(own.min(), own.max(), self.tune.margin_points) if len(own) > 1 else own[:0]
+        return np.unique(np.concatenate([own, between]))
+
+    @property
+    def margin_goals(self) -> dict[str, float]:
+        """Hard goals on margins."""
+        return {name: limit for name, limit in self.goals.items() if name in MARGINS}
+
+    @property
+    def hard_goals(self) -> dict[str, float]:
+        """Hard goals on what the runs measure."""
+        return {name: limit for name, limit in self.goals.items() if name in MEASURED}
 
     @cached_property
     def digest(self) -> str:
@@ -102,8 +140,12 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         return {
             "experiment": self.experiment.to_dict(),
             "params": self.params.to_dict(),
+            "baseline": {**self.before.to_dict(), "compensation": self.baseline_compensation},
             "tune": {**msgspec.to_builtins(self.tune), "free": free},
-            "goals": {**self.goals, "ideal": self.ideal},
+            "goals": {**self.goals, "ideal": self.ideal, "soft": dict(self.soft)},
+            "scenarios": msgspec.to_builtins(self.scenarios),
+            "risk": msgspec.to_builtins(self.risk),
+            "pareto": {name: list(limits) for name, limits in self.pareto.items()},
         }
 
     @staticmethod
@@ -122,13 +164,13 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         """A job from plain data, as the TOML file has it.
 
         Args:
-            data: Tables experiment, params, tune, goals; each may be left out.
+            data: Tables experiment, params, baseline, tune, goals, scenarios, risk, pareto; each may be left out.
             folder: Where files that it names lie.
 
         Raises:
             InputError: Names key, value, bound and remedy.
         """
-        tables = ("experiment", "params", "tune", "goals")
+        tables = ("experiment", "params", "baseline", "tune", "goals", "scenarios", "risk", "pareto")
         for name, table in data.items():
             if name not in tables:
                 raise InputError(name, table, "a known table", nearest(name, list(tables)))
@@ -136,17 +178,35 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
                 raise InputError(name, table, "a table", f"Put its keys under [{name}].")
         tune, goals = dict(data.get("tune", {})), dict(data.get("goals", {}))
         free = _free(tune.pop("free", dict.fromkeys(FREE, True)))
-        known_keys(Settings, tune, "tune")
+        for kind, table, name in (
+            (Settings, tune, "tune"),
+            (Scenarios, data.get("scenarios", {}), "scenarios"),
+            (Risk, data.get("risk", {}), "risk"),
+        ):
+            known_keys(kind, table, name)
         ideal = goals.pop("ideal", False)
         if not isinstance(ideal, bool):
             raise InputError("goals.ideal", ideal, "true or false", "True judges the paper's ideal damping.")
+        baseline = dict(data.get("baseline", {}))
+        share = baseline.pop("compensation", None)
+        if share is not None and not (isinstance(share, int | float) and 0.0 <= share <= 2.0):
+            raise InputError("baseline.compensation", share, "in [0, 2]", "0 compensates no friction.")
+        soft = goals.pop("soft", SOFT)
+        if not isinstance(soft, dict) or not soft:
+            raise InputError("goals.soft", soft, "a table with a goal", "Write `[goals.soft]` and `rms = 0.05`.")
         return TuneSpec(
             experiment=experiment_table(data.get("experiment", {}), folder),
             params=params_table(data.get("params", {}), folder),
+            baseline=params_table(baseline, folder, "baseline") if "baseline" in data else None,
+            baseline_compensation=share,
             tune=convert(tune, Settings, "tune"),
             free=free,
             goals=goals or {"M_s": 2.0},
+            soft=soft,
             ideal=ideal,
+            scenarios=convert(data.get("scenarios", {}), Scenarios, "scenarios"),
+            risk=convert(data.get("risk", {}), Risk, "risk"),
+            pareto=data.get("pareto", {}),
         )
 
 
@@ -163,32 +223,25 @@ def _free(table: Any) -> dict[str, Bounds | None]:
     return free
 
 
-def _check_split(tune: Settings) -> None:
-    for key, seeds in (("train_seeds", tune.train_seeds), ("heldout_seeds", tune.heldout_seeds)):
-        if not seeds:
-            raise InputError(f"tune.{key}", "[]", "at least one motion seed", "Give some, such as [1000, 1001].")
-        if len(set(seeds)) < len(seeds):
-            raise InputError(f"tune.{key}", list(seeds), "without repetition", "Name each seed once.")
-    if common := sorted(set(tune.train_seeds) & set(tune.heldout_seeds)):
-        remedy = "A seed that the tuner has seen proves nothing; remove it from one list."
-        raise InputError("tune.heldout_seeds", common[0], "unknown to train_seeds", remedy)
-
-
-def _check_goals(goals: Mapping[str, Any]) -> None:
+def _check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, str]) -> None:
     for name, limit in goals.items():
-        if name not in UNITS:
-            raise InputError(f"goals.{name}", limit, "a known goal", nearest(name, [*UNITS, "ideal"]))
+        if name in MARGINS and name not in known:
+            raise InputError(f"{table}.{name}", limit, "a goal of the runs", "Margins are held: put it under [goals].")
+        if name not in known:
+            remedy = nearest(name, [*known, "ideal", "soft"] if table == "goals" else list(known))
+            raise InputError(f"{table}.{name}", limit, "a known goal", remedy)
         low = 1.0 if name == "M_s" else 0.0
         number = isinstance(limit, int | float) and not isinstance(limit, bool)
         if not (number and low < limit < math.inf):
-            raise InputError(f"goals.{name}", limit, f"a number above {low:g} {UNITS[name]}".strip(), "Give a limit.")
+            bound = f"a number above {low:g} {UNITS[name]}".strip()
+            raise InputError(f"{table}.{name}", limit, bound, "Give a limit.")
 
 
 def _check_bounds(name: str, bounds: Bounds | None, params: Params) -> None:
     if name not in BOUNDS:
         raise InputError(f"tune.free.{name}", bounds or "true", "a known parameter", nearest(name, list(BOUNDS)))
     low, high, unit = BOUNDS[name]
-    axis = axis_of(name, bounds, False)
+    axis = axis_of(name, bounds, False, params.disturbance_order)
     for value in (axis.low, axis.high):
         if not (math.isfinite(value) and low <= value <= high):
             raise InputError(f"tune.free.{name}", value, f"in [{low:g}, {high:g}] {unit}", "Move this bound inside.")

@@ -28,31 +28,38 @@ class State:
     memory: Any
     """What the optimiser remembers."""
     best_z: np.ndarray
-    """The best vector that meets all goals; NaN while there is none."""
-    best: float
-    """Its worst residual in training [N]; ∞ while there is none."""
+    """The best vector of each start that holds the hard goals, (starts, size); NaN while there is none."""
+    best: np.ndarray
+    """Its score: risk of the soft goals, (starts,) [-]; ∞ while there is none."""
     closest_z: np.ndarray
-    """The vector that came closest to its goals with whole horizons."""
-    closest: float
-    """Its largest normalised goal [-]; ∞ while unstable."""
+    """The vector of each start that came closest to the hard goals with whole horizons, (starts, size)."""
+    closest: np.ndarray
+    """Its largest normalised hard goal, (starts,) [-]; ∞ while unstable."""
     gained: int
     """The look of the last gain worth counting."""
     skipped: np.ndarray
     """Steps not taken because the gradient was not finite, per start."""
+    score: np.ndarray
+    """Risk of the soft goals per look and start [-]."""
     worst: np.ndarray
     """Worst residual per look and start [N]."""
+    tissue: np.ndarray
+    """Where the soft goals stood worst per look and start, index into the stiffnesses."""
     M_s: np.ndarray
-    """M_s per look, start and stiffness [-]."""
+    """M_s at the worst stiffness per look and start [-]."""
+    hard: np.ndarray
+    """Hard goals per look, start and goal [-]."""
+    soft: np.ndarray
+    """Soft goals per look, start and goal [-]."""
     path: np.ndarray
     """z per look and start."""
     incumbent: np.ndarray
-    """`best` after each look [N]."""
+    """The least `best` after each look [-]."""
 
     @staticmethod
-    def new(z: np.ndarray, memory: Any, looks: int, stiffnesses: int) -> "State":
-        """Before the first look."""
+    def new(z: np.ndarray, memory: Any, looks: int, goals: tuple[int, int]) -> "State":
+        """Before the first look; `goals` counts the hard and the soft ones."""
         starts, size = z.shape
-        none = np.full(size, np.nan)
 
         def rows(*shape: int) -> np.ndarray:
             return np.full((looks, *shape), np.nan)
@@ -61,17 +68,37 @@ class State:
             look=0,
             z=z,
             memory=memory,
-            best_z=none,
-            best=np.inf,
-            closest_z=z[0],
-            closest=np.inf,
+            best_z=np.full((starts, size), np.nan),
+            best=np.full(starts, np.inf),
+            closest_z=z,
+            closest=np.full(starts, np.inf),
             gained=0,
             skipped=np.zeros(starts, np.int64),
+            score=rows(starts),
             worst=rows(starts),
-            M_s=rows(starts, stiffnesses),
+            tissue=rows(starts),
+            M_s=rows(starts),
+            hard=rows(starts, goals[0]),
+            soft=rows(starts, goals[1]),
             path=rows(starts, size),
             incumbent=rows(),
         )
+
+    @property
+    def feasible(self) -> bool:
+        """Whether any start has held all hard goals."""
+        return bool(np.isfinite(self.best).any())
+
+    @property
+    def leader(self) -> int:
+        """The start with the best vector so far, or with the one that came closest."""
+        return int(np.argmin(self.best if self.feasible else self.closest))
+
+    @property
+    def leader_z(self) -> np.ndarray:
+        """Its vector."""
+        vector: np.ndarray = (self.best_z if self.feasible else self.closest_z)[self.leader]
+        return vector
 
     def record(self, values: Values, exact: bool, worth: float) -> None:
         """Enter one look into the histories; with whole horizons it may hold the best so far.
@@ -82,48 +109,40 @@ class State:
             worth: Relative gain from which on it counts against the patience.
         """
         i = self.look
-        self.worst[i], self.M_s[i], self.path[i] = values.worst, values.M_s, self.z
+        self.score[i], self.worst[i], self.tissue[i] = values.score, values.worst, values.tissue
+        self.M_s[i], self.hard[i], self.soft[i] = values.M_s.max(axis=1), values.hard, values.soft
+        self.path[i] = self.z
         if exact:
             # A start that left the finite numbers is as far from its goals as can be.
-            largest = np.nan_to_num(np.max(values.normalised, axis=(1, 2)), nan=np.inf, posinf=np.inf)
-            residual = np.where(largest <= FEASIBLE, values.worst, np.inf)
-            winner, nearest = int(np.argmin(residual)), int(np.argmin(largest))
-            if residual[winner] < self.best:
-                if residual[winner] < self.best * (1.0 - worth):
-                    self.gained = i
-                self.best, self.best_z = float(residual[winner]), self.z[winner]
-            if largest[nearest] < self.closest:
-                self.closest, self.closest_z = float(largest[nearest]), self.z[nearest]
-        self.incumbent[i] = self.best
+            largest = np.nan_to_num(values.hard.max(axis=1, initial=0.0), nan=np.inf, posinf=np.inf)
+            score = np.where(largest <= FEASIBLE, np.nan_to_num(values.score, nan=np.inf), np.inf)
+            if score.min() < self.best.min() * (1.0 - worth):
+                self.gained = i
+            better, nearer = score < self.best, largest < self.closest
+            self.best, self.best_z = np.minimum(self.best, score), np.where(better[:, None], self.z, self.best_z)
+            self.closest = np.minimum(self.closest, largest)
+            self.closest_z = np.where(nearer[:, None], self.z, self.closest_z)
+        self.incumbent[i] = self.best.min()
 
     def stalled(self, patience: int, since: int) -> bool:
         """Whether nothing was gained for so many looks, counted from look `since` on."""
-        return bool(np.isfinite(self.best)) and self.look - max(self.gained, since) > patience
-
-    def note(self) -> str:
-        """One line for the progress display."""
-        i = self.look - 1
-        leader = int(np.argmin(np.nan_to_num(self.worst[i], nan=np.inf)))
-        best = f"best {1e3 * self.best:.1f} mN" if np.isfinite(self.best) else "no feasible point yet"
-        now = f"start {leader}: worst {1e3 * self.worst[i, leader]:.1f} mN, M_s {self.M_s[i, leader].max():.2f}"
-        skips = f", {self.skipped.sum()} steps skipped" if self.skipped.any() else ""
-        return f"{best}; {now}{skips}"
+        return self.feasible and self.look - max(self.gained, since) > patience
 
 
-def save(folder: Path, key: str, state: State) -> None:
+def save(folder: Path, key: str, state: State, name: str = NAME) -> None:
     """Write the state, whole or not at all."""
     arrays = {field.name: np.asarray(getattr(state, field.name)) for field in fields(state) if field.name != "memory"}
     arrays |= {f"memory_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state.memory))}
-    write_atomic(folder / NAME, seal({"kind": "jaxmpc tuning state", "spec": key, "version": __version__}, arrays))
+    write_atomic(folder / name, seal({"kind": "jaxmpc tuning state", "spec": key, "version": __version__}, arrays))
 
 
-def load(folder: Path, key: str, fresh: State) -> State:
+def load(folder: Path, key: str, fresh: State, name: str = NAME) -> State:
     """The saved state of the same spec, or the fresh one where nothing is saved.
 
     Raises:
         InputError: The folder holds the state of another spec or version, or a damaged one.
     """
-    path = folder / NAME
+    path = folder / name
     if not path.exists():
         return fresh
     try:
@@ -136,12 +155,5 @@ def load(folder: Path, key: str, fresh: State) -> State:
         )
     leaves, structure = jax.tree.flatten(fresh.memory)
     memory = jax.tree.unflatten(structure, [arrays.pop(f"memory_{i}") for i in range(len(leaves))])
-    numbers = {name: arrays.pop(name)[()] for name in ("look", "best", "closest", "gained")}
-    return State(
-        memory=memory,
-        **arrays,
-        look=int(numbers["look"]),
-        gained=int(numbers["gained"]),
-        best=float(numbers["best"]),
-        closest=float(numbers["closest"]),
-    )
+    look, gained = (int(arrays.pop(name)[()]) for name in ("look", "gained"))
+    return State(memory=memory, **arrays, look=look, gained=gained)

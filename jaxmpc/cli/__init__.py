@@ -12,6 +12,7 @@ VERBS = {
     "simulate": "one experiment: table, margins, figures",
     "sweep": "many controllers over a set of stiffnesses; run it again to resume; `sweep report` shows it",
     "tune": "gradient autotuning, worst case over stiffness, margins held",
+    "trials": "random trials of a controller on the arm: how often does it become unstable?",
     "freeze": "parameters → a sealed controller for the robot",
     "identify": "joint friction and mass error of the arm from a recording of its own motion",
     "check": "replay a frozen controller's golden trace, print its limits and margins",

@@ -23,6 +23,7 @@ def small() -> Callable[..., dict[str, Any]]:
                 "heldout_seeds": [1000, 1001],
                 "duration": 5.0,
                 "settle": 1.2,
+                "margin_points": 0,
             },
             "goals": {"ideal": True},
         }

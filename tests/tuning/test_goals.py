@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
-from tuning.goals import UNITS, standing
+from tuning.goals import MARGINS, OVERSHOOT, measured, standing
 
 LIMITS = {
     "M_s": 2.0,
@@ -28,7 +29,7 @@ def test_every_goal_is_one_at_its_limit() -> None:
     assert float(standing(found(), LIMITS).violation) == 0.0
 
 
-@pytest.mark.parametrize("name", UNITS)
+@pytest.mark.parametrize("name", MARGINS)
 def test_better_is_below_one_and_worse_is_above(name: str) -> None:
     better, worse = (0.8, 1.25) if name == "M_s" else (1.25, 0.8)
     row = list(LIMITS).index(name)
@@ -53,3 +54,23 @@ def test_unstable_is_worse_than_any_stable_loop_and_falls_with_the_radius() -> N
     assert float(violation(1.2)) > float(violation(1.01)) > float(edge.violation)
     assert float(jax.grad(violation)(1.1)) == pytest.approx(1 / 1.1)
     assert np.isposinf(standing(found(1.1), LIMITS).normalised).all()
+
+
+def cells(**fields: np.ndarray) -> Metrics:
+    """Metrics (stiffness, scenarios, 3), ones unless given."""
+    return Metrics(**{name: fields.get(name, np.ones((2, 4, 3))) for name in Metrics._fields})
+
+
+def test_a_goal_of_the_runs_sees_its_axis_and_its_reference() -> None:
+    rms = np.arange(1.0, 25.0).reshape(2, 4, 3)
+    before = rms * 2.0
+    before[1, 2, 0] = np.nan
+    limits = {"rms": 2.0, "rms_z": 4.0, "rms_ratio": 0.5, "effort_x": 10.0, OVERSHOOT: 0.2}
+    found = measured(cells(rms=rms), cells(rms=before), np.array([0.1, 0.3]), limits)
+    np.testing.assert_allclose(found["rms"], rms / 2.0)
+    np.testing.assert_allclose(found["rms_z"], rms[..., 2:] / 4.0)
+    np.testing.assert_allclose(found["effort_x"], 0.1)
+    np.testing.assert_allclose(found[OVERSHOOT].ravel(), [0.5, 1.5])
+    ratio = np.asarray(found["rms_ratio"])
+    assert ratio[1, 2, 0] == 0.0, "where the controller before was unstable there is nothing to compare with"
+    np.testing.assert_allclose(np.delete(ratio.ravel(), 18), 1.0)

@@ -8,20 +8,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmpc.scene import world_of
 from tuning import TuneSpec
-from tuning.objective import Data, Kind, Values, look, scene_over_seeds, soft_worst
-from tuning.optimise import looker, optimiser
+from tuning.objective import Values, look
+from tuning.optimise import optimiser
+from tuning.problem import Problem, problem_of, training
 
 Job = Callable[..., dict[str, Any]]
 QUIET = {"sensor": {"lsb": [0.0, 0.0, 0.0]}, "reference": {"z": []}}
 STEP = 1e-3
 
 
+def problem(spec: TuneSpec) -> Problem:
+    return problem_of(spec, spec.ladder[-1], training(spec, spec.tune.train_seeds))
+
+
 def central(values: np.ndarray) -> np.ndarray:
     """Five-point derivative from values at −2, −1, 1 and 2 steps, along the last dimension."""
     weights = np.array([1.0, -8.0, 8.0, -1.0]) / (12.0 * STEP)
-    return values @ weights
+    slope: np.ndarray = values @ weights
+    return slope
 
 
 def around(z: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -38,7 +43,7 @@ def in_eights(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) ->
 @pytest.mark.parametrize("K2", [10.0, 60.0])
 def test_reverse_gradient_is_the_central_difference_for_every_parameter(small: Job, K2: float) -> None:
     spec = TuneSpec.from_dict(small(experiment=QUIET, params={"K2": K2, "Q_x": 1e-3}))
-    see, space = looker(spec), spec.space
+    see, space = problem(spec).look, spec.space
     # Off the kinks of the soft mask, which whole horizons can stand on.
     z = space.encode(spec.params) + 0.07
     losses = in_eights(lambda rows: see(rows, 3.0).loss, around(z, np.eye(space.size)))
@@ -58,10 +63,9 @@ def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
         "delay_margin_s": 0.1,
         "ideal": False,
     }
-    spec = TuneSpec.from_dict(small(experiment=QUIET, goals=goals))
-    scene = scene_over_seeds(spec.experiment, (0,), 0.4, 0.1)
-    kind = Kind(spec.space.axes, ideal_goals=False, world=world_of(spec.experiment), precision="float64")
-    data = jax.tree.map(jnp.asarray, Data(scene, spec.params, dict(spec.goals)))
+    spec = TuneSpec.from_dict(small(experiment=QUIET, goals=goals, tune={"duration": 0.4, "settle": 0.1}))
+    data, kind = problem(spec)
+    data = data._replace(margins={name: jnp.broadcast_to(limit, (4,)) for name, limit in data.margins.items()})
     direction = np.random.default_rng(0).standard_normal(spec.space.size)
     forward = jax.jit(lambda z: jax.jvp(lambda z: look(z, data, 3.0, kind)[0], (z,), (jnp.tile(direction, (4, 1)),)))
     z = spec.space.encode(spec.params) + 0.07
@@ -75,7 +79,7 @@ def test_full_diagonals_have_a_gradient_per_entry(small: Job) -> None:
     free = {"lam": True, "delta": True, "Khat_s": True}
     tune = {"free": free, "diagonals": ["lam", "delta"], "duration": 0.4, "settle": 0.1}
     spec = TuneSpec.from_dict(small(experiment={**QUIET, "stiffness": [810.0]}, tune=tune))
-    see, space = looker(spec), spec.space
+    see, space = problem(spec).look, spec.space
     z = space.encode(spec.params)
     chosen = [0, 1, 4, 16, 20, 30, 40, 80]
     losses = in_eights(lambda rows: see(rows, 1.0).loss, around(z, np.eye(space.size)[chosen]))
@@ -89,7 +93,7 @@ def test_full_diagonals_have_a_gradient_per_entry(small: Job) -> None:
 
 def test_an_unstable_start_is_led_to_stability(small: Job) -> None:
     spec = TuneSpec.from_dict(small(params={"Khat_s": 200.0}))
-    see = looker(spec)
+    see = problem(spec).look
     begin, update = optimiser()
     z = np.tile(spec.space.encode(spec.params), (8, 1))
     memory = begin(jnp.asarray(z))
@@ -104,11 +108,3 @@ def test_an_unstable_start_is_led_to_stability(small: Job) -> None:
         values = see(np.asarray(z), 1.0)
     assert np.isfinite(values.M_s).all()
     assert np.isfinite(values.worst).all()
-
-
-def test_soft_worst_lies_just_under_the_worst() -> None:
-    cells = jnp.asarray([[1.0, 1.0, 1.0, 1.0], [0.2, 0.1, 1.0, 0.3]])
-    even, peaked = np.asarray(soft_worst(cells))
-    assert even == pytest.approx(1.0)
-    assert peaked == pytest.approx(4 ** (-1 / 24))
-    assert peaked < 1.0

@@ -56,7 +56,7 @@ def test_everything_can_be_said(tmp_path: Path) -> None:
     assert float(spec.params.K2) == 40.0
     assert spec.space.size == 17
     assert spec.to_dict()["tune"]["free"]["K2"] == [10.0, 50.0]
-    assert spec.to_dict()["goals"] == {"M_s": 1.8, "gain_margin_db": 6, "ideal": True}
+    assert spec.to_dict()["goals"] == {"M_s": 1.8, "gain_margin_db": 6, "ideal": True, "soft": {"rms": 0.05}}
 
 
 def test_the_hash_follows_every_number(tmp_path: Path) -> None:

@@ -1,0 +1,141 @@
+"""The tuner's objective without its gradient, for any controller that the cascade's law can express.
+
+What is summed up is what `tuning.objective.look` sums up, of the same parts; the benchmark refuses to start unless
+both give the same number.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array
+
+from benchmarks.rivals import pi
+from jaxmpc.stability import Margins, margins_one
+from jaxmpc.stability.loop import contact_of
+from jaxmpc.world.contact import Contact
+from tuning.goals import OVERSHOOT, measured, standing
+from tuning.objective import (
+    HEADROOM,
+    PENALTY,
+    Data,
+    Designed,
+    Kind,
+    cells_of,
+    designed,
+    judged_contact,
+    overshoot_of,
+    seen,
+)
+from tuning.problem import Problem
+from tuning.risk import soft_worst
+from tuning.transforms import Space
+
+BATCH = 16
+"""Controllers at a time: fewer take as long, more are no faster each (measured)."""
+Law = Callable[[Array, Data, Kind], Designed]
+"""The controller that an unconstrained vector stands for."""
+LOST = 1e3
+"""Loss of a controller whose runs left the finite numbers [-]."""
+
+
+class Seen(NamedTuple):
+    """What the objective says of controllers, each (controllers,)."""
+
+    loss: Any
+    """log risk and penalties [-]."""
+    score: Any
+    """Risk of the soft goals [-]; NaN where unstable."""
+    hard: Any
+    """Largest normalised hard goal [-]; met at 1 and below."""
+
+
+def evaluator(problem: Problem, law: Law, rows: int = BATCH) -> Callable[[np.ndarray], Seen]:
+    """The objective of any number of unconstrained vectors (n, size), so many at a time on all devices.
+
+    Args:
+        problem: The tuner's problem on its last level.
+        law: What a vector stands for: `mpc_aob` or `pi_control`.
+        rows: How many at a time.
+    """
+    program, devices = _program(problem.kind, law)
+    rows = -(-rows // devices) * devices
+
+    def evaluate(z: np.ndarray) -> Seen:
+        parts = []
+        for first in range(0, len(z), rows):
+            part = z[np.minimum(np.arange(first, first + rows), len(z) - 1)]
+            parts.append(jax.tree.map(np.asarray, program(part, problem.data)))
+        found: Seen = jax.tree.map(lambda *fields: np.concatenate(fields)[: len(z)], *parts)
+        return found._replace(loss=np.nan_to_num(found.loss, nan=LOST, posinf=LOST))
+
+    return evaluate
+
+
+@cache
+def _program(kind: Kind, law: Law) -> tuple[Callable[..., Seen], int]:
+    """Compiled once per kind and law, and on how many devices it runs."""
+    spec: Any = PartitionSpec
+
+    def on_device(z: Array, data: Data) -> Seen:
+        return judged(jax.vmap(lambda vector: law(vector, data, kind))(z), data, kind)
+
+    mesh = Mesh(np.array(jax.local_devices()), ("device",))
+    split = spec("device")
+    mapped = jax.shard_map(on_device, mesh=mesh, in_specs=(split, spec()), out_specs=split, check_vma=False)
+    program: Callable[..., Seen] = jax.jit(mapped)
+    return program, mesh.size
+
+
+def mpc_aob(z: Array, data: Data, kind: Kind) -> Designed:
+    """The tuner's own controller; traceable."""
+    return designed(Space(data.base, kind.axes).decode(z, 1.0), data, 1.0, kind)
+
+
+def pi_control(z: Array, data: Data, kind: Kind) -> Designed:
+    """The PI controller with damping, in the same worlds and judged at the same margins; traceable."""
+    scene, found = data.scene, pi.decode(z)
+    gains = pi.gains(found, scene.T_s)
+
+    def contact(K_s: Any) -> Contact:
+        filters = scene.delay, kind.world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
+        return contact_of(K_s, found.K2, scene.T_s, *filters)
+
+    def judge(K_s: Any) -> Margins:
+        return margins_one(gains, judged_contact(K_s, found.K2, scene, kind.ideal_goals), kind.ideal_goals)
+
+    damped = eqx.tree_at(lambda params: params.K2, data.base, found.K2)
+    return Designed(damped, gains, jax.vmap(contact)(scene.stiffness), jax.vmap(judge)(data.judged_at))
+
+
+def judged(controllers: Designed, data: Data, kind: Kind) -> Seen:
+    """Loss of designed controllers; traceable. As `tuning.objective.look`, term by term."""
+    margins = jax.vmap(lambda found: standing(found, data.margins, HEADROOM))(controllers.found)
+    stable = jnp.all(controllers.found.spectral_radius < 1.0, axis=1)
+
+    def still(gain: Array) -> Array:
+        return jnp.where(stable.reshape(-1, *(1,) * (gain.ndim - 1)), gain, 0.0)
+
+    safe = controllers._replace(gains=jax.tree.map(still, controllers.gains))
+    cells = cells_of(safe, data, kind)
+    overshoot = overshoot_of(safe, kind) if OVERSHOOT in {*data.hard, *data.soft} else None
+    soft, hard = (
+        measured(cells, data.reference, overshoot, {name: limits[name] for name in seen(limits, data)})
+        for limits in (data.soft, data.hard)
+    )
+    soft = soft or {"rms": cells.rms}
+    scenarios = max(goal.shape[2] for goal in soft.values())
+    wide = [jnp.broadcast_to(goal, (*goal.shape[:2], scenarios, goal.shape[3])) for goal in soft.values()]
+    each = jnp.moveaxis(jnp.concatenate(wide, axis=3), 2, 1)
+    risk = kind.risk.over(soft_worst(each.reshape(*each.shape[:2], -1)))
+    largest = [jnp.max(goal, axis=(1, 2, 3)) for goal in hard.values()]
+    missed = sum((jnp.maximum(1.0 - 1.0 / value + HEADROOM, 0.0) for value in largest), jnp.zeros(len(stable)))
+    log_risk = jnp.log(jnp.where(stable & (risk > 0.0), risk, 1.0))
+    loss = log_risk + PENALTY * (margins.violation + jnp.where(stable, missed, 0.0))
+    worst = jnp.max(jnp.stack([jnp.max(margins.normalised, axis=(1, 2), initial=0.0), *largest]), axis=0)
+    return Seen(loss, jnp.where(stable, risk, jnp.nan), jnp.where(stable, worst, jnp.inf))

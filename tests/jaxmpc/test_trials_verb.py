@@ -1,0 +1,100 @@
+"""`jaxmpc trials`: exit codes, files, and what it says, on outcomes made by hand."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxmpc import Experiment
+from jaxmpc.cli import main
+from tuning import trials
+from tuning.trials import Job, Outcomes
+
+
+@pytest.fixture
+def peaks(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    """Largest |e| per trial of the first and the second controller [N]; runs nothing."""
+    largest = {"first": 0.5, "second": 3.0}
+
+    def computer(job: Job) -> Callable[[int], Outcomes]:
+        def compute(first: int) -> Outcomes:
+            flat = np.zeros((trials.BLOCK, len(job.controllers)))
+            peak = np.broadcast_to(np.array(list(largest.values()))[: len(job.controllers), None], (*flat.shape, 3))
+            # In the first trial alone.
+            peak = np.where(np.arange(first, first + trials.BLOCK)[:, None, None] == 0, peak, 0.1)
+            return Outcomes(flat.astype(np.int8), flat + np.nan, flat + 0.9, 0.1 * peak, peak)
+
+        return compute
+
+    monkeypatch.setattr("jaxmpc.cli.setup.use_all_cores", lambda: None)
+    monkeypatch.setattr(trials, "_computer", computer)
+    return largest
+
+
+def test_who_never_fails_ends_with_0(
+    peaks: dict[str, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "tuned.toml").write_text("[params]\nK2 = 20.0")
+    command = ["trials", str(tmp_path / "tuned.toml"), "--against", "text", "--trials", "40", "--hard"]
+    out = tmp_path / "out"
+    assert main([*command, "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "both 0, only tuned 0, only text 1, neither 39" in said
+    assert "text: |e| ≥ 2 N alone 1" in said
+    assert {path.name for path in out.iterdir()} == {
+        "blocks",
+        "trials.csv",
+        "trials.png",
+        "worst.toml",
+        "worst-against.toml",
+    }
+    with (out / "trials.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 40
+    assert [row["text: unstable"] for row in rows[:2]] == ["1", "0"]
+    assert float(rows[0]["stiffness [N/m]"]) == pytest.approx(Experiment.from_toml(out / "worst.toml").stiffness[0])
+    files = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    assert main([*command, "-o", str(out)]) == 0
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == files
+    capsys.readouterr()
+    assert main([*command, "--seed", "1", "-o", str(out)]) == 2
+    assert "very trials" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == files
+
+
+def test_who_fails_ends_with_1_and_the_count(peaks: dict[str, float], capsys: pytest.CaptureFixture[str]) -> None:
+    peaks["first"] = 2.5
+    assert main(["trials", "text", "--trials", "3"]) == 1
+    told = capsys.readouterr()
+    assert "text was unstable in 1 of 3 trials" in told.err
+    assert "M_s presliding" in told.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["bogus"], "bogus"),
+        (["text", "--against", "bogus"], "bogus"),
+        (["text", "--experiment", "table-1"], "physics"),
+        (["text", "--trials", "0"], "trials = 0"),
+        (["text", "--seed", "-1"], "seed = -1"),
+    ],
+)
+@pytest.mark.usefixtures("peaks")
+def test_wrong_input_ends_with_2_and_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    assert main(["trials", *arguments, "-o", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert words in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("peaks")
+def test_a_file_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").touch()
+    assert main(["trials", "text", "--trials", "1", "-o", str(tmp_path / "out")]) == 2
+    assert "a folder" in capsys.readouterr().err

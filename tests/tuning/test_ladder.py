@@ -1,0 +1,103 @@
+"""The way up: levels, orders, the worst-case loop, the front; on the arm at a size that compiles more than it runs."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxmpc import Params
+from jaxmpc.precision import in_float64
+from tuning import TuneSpec, pareto
+from tuning.front import handed_on, table
+from tuning.ladder import SAME, climb, proposed
+from tuning.problem import problem_of, training
+from tuning.result import judge
+from tuning.state import State
+
+Job = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def on_the_arm(small: Job) -> Callable[..., TuneSpec]:
+    def job(**tables: Any) -> TuneSpec:
+        scenarios = {"rhythms": ["own", "premature"], "friction": 0.3, "mass": 0.1}
+        tune = {"starts": 2, "steps": 5, "train_seeds": [0, 1], "heldout_seeds": [1000], "duration": 3.2, "settle": 0.5}
+        base: dict[str, Any] = {"experiment": {"published": "table-1-wam", "duration": 4.0, "settle": 0.5}}
+        base |= {"scenarios": scenarios, "goals": {"M_s": 6.0, "soft": {"rms_ratio": 0.9}}}
+        return TuneSpec.from_dict(small(**{**base, **tables, "tune": {**tune, **tables.get("tune", {})}}))
+
+    return job
+
+
+def state_of(best: list[float], z: np.ndarray, hard: np.ndarray) -> State:
+    """A state after one look at which each start stood where it is."""
+    state = State.new(z, (), 1, (hard.shape[1], 1))
+    state.best, state.best_z, state.path[0], state.hard[0], state.look = np.array(best), z, z, hard, 1
+    return state
+
+
+def test_the_next_level_starts_at_the_best_that_differ(spec: TuneSpec) -> None:
+    z = np.random.default_rng(0).standard_normal((5, spec.space.size))
+    z[3] = z[1] + 0.1 * SAME
+    state = state_of([3.0, 1.0, np.inf, 1.1, 2.0], z, np.ones((5, 1)))
+    state.closest = np.array([0.9, 0.9, 1.5, 0.9, 0.9])
+    chosen = proposed(spec, state, 5)
+    np.testing.assert_allclose(chosen, [spec.space.encode(spec.params), z[1], z[4], z[0], z[2]])
+
+
+def test_points_of_a_front_take_over_what_fits_their_limits() -> None:
+    """M_s ≤ 3, 2, 1.5: the middle point found the best, the first may take it, the last may not."""
+    z = np.arange(3.0)[:, None]
+    asked = np.array([[3.0, 6.0], [2.0, 6.0], [1.5, 6.0]])
+    reached = np.array([[2.9, 7.0], [1.9, 6.5], [1.4, 6.1]])
+    hard = np.stack([reached[:, 0] / asked[:, 0], asked[:, 1] / reached[:, 1]], axis=1)
+    state = state_of([0.9, 0.7, 0.8], z, hard)
+    np.testing.assert_array_equal(handed_on(state, asked, np.array([False, True])).ravel(), [1.0, 1.0, 2.0])
+
+
+@in_float64
+def test_orders_ask_for_a_q_p_of_their_own(spec: TuneSpec) -> None:
+    second = spec.with_order(2)
+    assert second.params.disturbance_order == 2
+    assert second.before == spec.params
+    (axis,) = (axis for axis in second.space.axes if axis.name == "Q_p")
+    assert axis.low < float(second.params.Q_p) < axis.high
+
+
+@pytest.mark.slow
+def test_up_the_whole_ladder_and_against_the_worst(on_the_arm: Callable[..., TuneSpec]) -> None:
+    spec = on_the_arm(tune={"rounds": 1, "searched": 6, "orders": [1, 2]})
+    with_float64 = in_float64(lambda: judge(climb(spec)))
+    result = with_float64()
+    assert [step.level for step in result.steps][:3] == ["frequency", "linear", "arm"]
+    assert set(result.orders) == {1, 2}
+    assert result.feasible, result.unmet()
+    assert result.heldout.rms.shape == (2, 1, 3, 3)
+    if len(result.steps) > 3:
+        added = result.steps[3].added
+        assert added is not None
+        assert added.value > added.known
+
+
+@pytest.mark.slow
+@in_float64
+def test_levels_agree_on_the_residual(on_the_arm: Callable[..., TuneSpec]) -> None:
+    """To 15 %: the coarse two know no friction that answers to the residual motion, which is up to a tenth here."""
+    spec = on_the_arm(params={"K2": 40.0, "T_cl": 2e-4, "Khat_s": 800.0, "Q_p": 1.5}, goals={"soft": {"rms": 0.05}})
+    met = training(spec, (0,))
+    z = np.tile(spec.space.encode(spec.params), (2, 1))
+    rms = [problem_of(spec, level, met).look(z, 1.0).cells.rms[0] for level in spec.ladder]
+    np.testing.assert_allclose(rms[0], rms[2], rtol=0.15)
+    np.testing.assert_allclose(rms[1], rms[2], rtol=0.15)
+
+
+@pytest.mark.slow
+def test_a_front_falls_with_its_limits(small: Job) -> None:
+    spec = TuneSpec.from_dict(small(tune={"steps": 60}, goals={"M_s": 3.0}, pareto={"M_s": [1.7, 2.0, 3.0]}))
+    front = pareto(spec)
+    assert front.limits["M_s"].tolist() == [3.0, 2.0, 1.7]
+    assert (np.diff(front.score) >= 0.0).all(), "a tighter limit cannot give a lower residual"
+    assert (front.hard[:, 0] <= front.limits["M_s"]).all()
+    assert all(isinstance(params, Params) for params in front.params)
+    assert table(front).count("\n") == 4

@@ -1,0 +1,234 @@
+"""The report: complete, escaped, reachable offline, and with the numbers of the result."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxmpc import Params
+from jaxmpc.metrics import Metrics
+from jaxmpc.stability import Margins
+from tuning import TuneResult, TuneSpec, report
+from tuning.agreement import Agreement
+from tuning.explained import Study, limits_text
+from tuning.files import write
+from tuning.html import picture, tag
+from tuning.ladder import Step
+from tuning.limits import Active, Limits, active_margins
+from tuning.loops import Curves
+from tuning.page import html_report
+from tuning.reached import rows
+from tuning.sensitivities import Sensitivities
+from tuning.split import Split
+from tuning.state import State
+
+Job = Callable[..., dict[str, Any]]
+NAME = '<b>"a & b"</b>'
+SEEDS = (1000, 1001, 1002, 1007)
+
+
+class Reader(HTMLParser):
+    """Refuses what a browser would fetch or run, and elements that are not closed in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.headings: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert tag not in ("script", "link", "iframe", "img", "object", "embed", "base")
+        for key, value in attrs:
+            if key.endswith(("href", "src")):
+                assert str(value).startswith("#")
+            assert "://" not in str(value) or key.startswith("xmlns")
+            assert not key.startswith("on")
+        if tag != "meta":
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open[-1:] == ["h2"]:
+            self.headings.append(data)
+
+
+@pytest.fixture
+def result(small: Job) -> TuneResult:
+    """A made-up one: scenario 1001 was lost before, M_s is active, λ is a diagonal, before has another structure."""
+    spec = TuneSpec.from_dict(
+        small(
+            experiment={"name": NAME},
+            baseline={"disturbance_order": 2, "Q_p": 1e-3},
+            tune={
+                "heldout_seeds": list(SEEDS),
+                "validation_seeds": [500],
+                "margin_points": 5,
+                "free": {"lam": True, "Q_p": True, "Hp": True},
+                "diagonals": ["lam"],
+            },
+            goals={"M_s": 2.0, "delay_margin_s": 1e-3, "ideal": False, "soft": {"rms": 0.1, "peak_to_peak_ratio": 1.0}},
+        )
+    )
+    random = np.random.default_rng(0)
+    heldout = Metrics(*(random.uniform(0.02, 0.08, (2, len(SEEDS), 3, 3)) for _ in Metrics._fields))
+    heldout.peak_error[0, 1, 2] = 3.0
+    judged = len(spec.judged_at)
+    M_s = np.stack([np.linspace(5.0, 3.0, judged), np.linspace(1.4, 1.98, judged)])
+    one = np.ones((2, judged))
+    found = Margins(M_s, 6.0 * one, 7.0 * one, 40.0 * one, 2e-3 * one, 0.9 * one, 0.0 * one)
+    state = State.new(spec.space.draw(2, 0), None, 3, (2, 2))
+    for look in range(3):
+        state.record(_values(0.9 - 0.1 * look, judged), exact=True, worth=0.0)
+        state.look += 1
+    problem: Any = SimpleNamespace(hard_goals=())
+    steps = [Step("linear", "linear", problem, state)]
+    margins = {"as run": found, "ideal": found}
+    params = spec.space.exact(state.leader_z)
+    return TuneResult(spec, params, True, heldout, margins, steps, {1: 0.5, 2: 0.7})
+
+
+def _values(hard: float, judged: int) -> Any:
+    cells = Metrics(*(np.full((2, 3, 1, 3), 0.05) for _ in Metrics._fields))
+    numbers = {"score": np.array([hard, 1.0]), "worst": np.full(2, 0.05), "tissue": np.zeros(2, int), "cells": cells}
+    return SimpleNamespace(**numbers, M_s=np.full((2, judged), 1.9), hard=np.full((2, 2), hard), soft=np.ones((2, 2)))
+
+
+@pytest.fixture
+def study() -> Study:
+    frequency, time = np.geomspace(0.1, 500.0, 40), np.arange(50) * 1e-3
+    loop = np.tile(10.0 / (1j * frequency), (3, 1))
+    curve = Curves(frequency, loop, time, np.tile(1.0 - np.exp(-time / 0.01), (3, 1)))
+    slopes = np.arange(18.0).reshape(2, 3, 3) / 10.0
+    metrics, parameters = ("score", "M_s"), ("lam", "Q_p", "Hp")
+    parts = (np.full((2, 3, 3), size) for size in (0.05, 0.03, 0.04, 0.01))
+    points = np.random.default_rng(0).uniform(0.5, 2.0, (2, 6))
+    return Study(
+        (curve, curve),
+        Sensitivities("linear", metrics, parameters, np.ones((2, 3)), slopes),
+        Split(*parts),
+        Agreement(("frequency", "linear"), np.zeros(6), points, points),
+        Limits([Active("M_s", 1900.0, 0.99, 0.5)], 0.2),
+    )
+
+
+def test_the_text_says_it_all(result: TuneResult) -> None:
+    said = report(result)
+    assert "all hard goals are met" in said
+    assert re.search(r"hard: M_s ≤ 2 +5 +1.98  yes, worst at 1900 N/m", said)
+    assert "held out: 1000–1002, 1007" in said
+    assert "validation: 500" in said
+    assert "lost before: 1001 (left out below); lost after: none" in said
+    assert "M_s is active at 1900 N/m, 99.0 % of its limit" in said
+    worst = 1e3 * result.heldout.rms[:, [0, 2, 3], 0, 0].max(axis=1)
+    assert re.search(rf"375 +{worst[0]:.1f} +{worst[1]:.1f}", said)
+
+
+def test_goals_are_those_of_the_scenarios_that_were_held(result: TuneResult) -> None:
+    M_s, delay, rms, ratio = rows(result)
+    counted = [0, 2, 3]
+    assert (M_s.reached, M_s.met, M_s.at) == ((5.0, 1.98), True, 1900.0)
+    assert (delay.reached, delay.met, delay.hard) == ((2e-3, 2e-3), True, True)
+    assert rms.reached == pytest.approx([result.heldout.rms[which][counted].max() for which in (0, 1)])
+    before, after = result.heldout.peak_to_peak[:, counted]
+    assert ratio.reached == pytest.approx([1.0, (after / before).max()])
+    assert not ratio.met
+    assert not ratio.hard
+
+
+def test_files_are_whole_and_the_page_needs_nothing_else(
+    result: TuneResult, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tuning.files.study", lambda result: study)
+    written = write(result, tmp_path)
+    pictures = {"history", "before_after", "sensitivity", "nyquist", "step", "split"}
+    texts = {"params.toml", "history.npz", "report.txt", "report.html"}
+    assert {path.name for path in written} == texts | {f"{name}.png" for name in pictures}
+    assert set(tmp_path.iterdir()) == set(written)
+    assert Params.from_toml(tmp_path / "params.toml").lam.shape == (16,)
+    for name in pictures:
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    reader = Reader()
+    reader.feed(page)
+    assert reader.open == []
+    assert reader.headings == [
+        "Residual on held-out scenarios",
+        "Goals",
+        "Parameters",
+        "Scenarios",
+        "Robustness",
+        "What limits it",
+        "Causes of the residual",
+        "Sensitivity to the parameters",
+        "Agreement of the levels",
+        "The way there",
+    ]
+    assert NAME not in page
+    assert "&lt;b&gt;&quot;a &amp; b&quot;&lt;/b&gt;" in page
+    assert len(page) < 2e6
+    # Bars name the scenarios that count; the table of all of them has the lost one too.
+    hints = re.findall(r"<title>([^<]*seed[^<]*)</title>", page)
+    assert len(hints) == 2 * 2 * 9
+    assert all("seed 1000: " in hint and "1001" not in hint for hint in hints)
+    assert page.count("1001, 375 N/m") == 2
+
+
+def test_nothing_held_and_nothing_met(result: TuneResult, study: Study) -> None:
+    lost = Metrics(*(np.where(np.arange(2)[:, None, None, None] == 0, np.nan, field) for field in result.heldout))
+    worse = result.margins["as run"]._replace(
+        M_s=np.array([[np.inf], [2.5]]) * np.ones_like(result.margins["as run"].M_s)
+    )
+    failed = replace(result, heldout=lost, feasible=False, margins={"as run": worse, "ideal": worse})
+    held = Limits([Active("M_s", 375.0, 1.25, np.nan)], np.nan)
+    parts = Split(*(np.full((2, 3, 3), np.nan) for _ in Split._fields))
+    page = html_report(failed, study._replace(limits=held, split=parts, agreement=None))
+    said = report(failed)
+    assert "M_s ≤ 2 is missed by 0.5" in said
+    assert "M_s is missed at 1900 N/m, 125.0 % of its limit" in said
+    assert "lost before: 1000, 1001, 1002, 1007 (all of them, so none is left out)" in said
+    assert "unstable → " in page
+    assert "Agreement" not in page
+    assert "relaxed" not in page
+
+
+def test_only_peaks_of_a_margin_are_active(result: TuneResult) -> None:
+    M_s = np.array([[2.5] * 8, [1.97, 1.99, 1.97, 1.5, 1.0, 1.0, 1.95, 1.96]])[:, : len(result.spec.judged_at)]
+    judged = result.margins["as run"]._replace(M_s=M_s)
+    found = active_margins(replace(result, margins={"as run": judged, "ideal": judged}))
+    assert [(name, normalised) for name, _, normalised in found][:1] == [("M_s", pytest.approx(0.995))]
+    assert found[0][1] == result.spec.judged_at[1]
+
+
+def test_what_limits_it_in_words(result: TuneResult, study: Study) -> None:
+    active, slope, parts = limits_text(result, study)
+    assert "M_s is active at 1900 N/m: 99.0 % of its limit" in active
+    assert f"fall by some {100 * (1 - 1.1**-0.5):.1f} %" in active
+    assert "all but 20 %" in slope
+    assert "friction 40.0 mN (64 % of its power), noise 10.0 mN (4 % of its power)" in parts
+
+
+def test_text_is_escaped_and_pictures_come_without_files(tmp_path: Path) -> None:
+    assert tag("p", "<&>", tag("b", "x"), title='"') == '<p title="&quot;">&lt;&amp;&gt;<b>x</b></p>'
+
+    def draw(path: Path) -> None:
+        from jaxmpc.figures import figure
+
+        with figure(path, size=(2.0, 2.0)) as axes:
+            axes.bar([0.0], [1.0])[0].set_gid("hint: <one>\ntwo")
+
+    found = picture(draw)
+    assert found == picture(draw)
+    assert "<title>&lt;one&gt;\ntwo</title>" in found
+    assert "metadata" not in found

@@ -1,0 +1,171 @@
+"""Random trials: what is drawn, that each is the experiment it claims to be, and what is counted."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import scipy.stats
+
+from jaxmpc import Experiment, InputError, Params, Status, evaluate
+from jaxmpc.world.reference import Reference
+from tuning import trials
+from tuning.scenarios import RHYTHMS
+from tuning.trial_report import pairs, ranked, wilson
+from tuning.trials import HARD, NOMINAL, Job, Outcomes
+
+BLOCK = 4
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two motions with two trials each in a block, and 0.6 s to judge."""
+    for name, value in (("POOL", 2), ("COPIES", 2), ("BLOCK", BLOCK), ("DURATION", 2.6)):
+        monkeypatch.setattr(trials, name, value)
+
+
+def job(*controllers: Params, spread: trials.Spread = HARD, seed: int = 0) -> Job:
+    """No ramp: so `evaluate` scores the samples that a trial is judged by."""
+    base = Experiment.published("table-1-wam")
+    return Job(controllers or (Params(),), msgspec.structs.replace(base, reference=Reference()), spread, seed)
+
+
+def outcomes(peak: Any, status: Any = 0) -> Outcomes:
+    field = np.asarray(peak, float)[..., None] * [1.0, 0.5, 0.1]
+    flat = np.zeros(field.shape[:2])
+    return Outcomes(np.broadcast_to(status, flat.shape), flat, flat, field, field)
+
+
+@pytest.mark.parametrize(("hits", "count"), [(0, 1), (0, 10_000), (1, 1), (3, 17), (93, 10_000), (10_000, 10_000)])
+def test_wilson_is_scipys(hits: int, count: int) -> None:
+    expected = scipy.stats.binomtest(hits, count).proportion_ci(method="wilson")
+    np.testing.assert_allclose(wilson(hits, count), (expected.low, expected.high), rtol=1e-12, atol=1e-15)
+
+
+def test_pairs_and_ranks() -> None:
+    found = outcomes(
+        [[1.0, 3.0], [np.nan, 1.0], [2.0, 2.5], [0.1, 0.2], [0.3, 5.0]], [[0, 0], [2, 0], [0, 0], [0, 0], [1, 0]]
+    )
+    np.testing.assert_array_equal(found.unstable[:, 0], [False, True, True, False, True])
+    assert pairs(found.unstable) == (2, 1, 1, 1)
+    assert ranked(found, 0, 4) == [1, 4, 2, 0]
+    assert ranked(found, 1, 2) == [4, 0]
+
+
+def test_draws_keep_to_their_ranges_and_fill_them() -> None:
+    given = job()
+    drawn = [given.trial(i) for i in range(200)]
+    stiffness = np.log([trial.stiffness[0] for trial in drawn])
+    low, high = np.log(HARD.stiffness)
+    shares = np.sort((stiffness - low) / (high - low))
+    # A Kolmogorov–Smirnov test at 1 %; the seed is fixed, so this cannot fail by chance.
+    assert scipy.stats.kstest(shares, "uniform").pvalue > 0.01
+    assert {trial.delay for trial in drawn} == {1, 2}
+    assert {trial.motion.kind for trial in drawn} == {"harmonics", "rhythm"}
+    believed = np.array(given.base.arm.coulomb)
+    for values, (least, most) in (
+        ([trial.arm.cable_hz for trial in drawn], (15.0, 60.0)),
+        ([trial.arm.cable_damping for trial in drawn], (0.03, 0.1)),
+        ([np.array(trial.arm.coulomb) / believed for trial in drawn], (0.5, 1.5)),
+        ([0.9 / (1.0 + trial.arm.mass_error) for trial in drawn], (0.85, 1.15)),
+    ):
+        assert least <= np.min(values) < least + 0.1 * (most - least)
+        assert most - 0.1 * (most - least) < np.max(values) <= most
+    assert set(NOMINAL.scenarios.rhythms) == set(RHYTHMS)
+    assert {job(spread=NOMINAL).trial(i).delay for i in range(20)} == {1}
+    assert job(spread=NOMINAL).trial(0).arm.cable_hz == 0.0
+
+
+def test_a_trial_depends_on_its_seed_and_number_alone() -> None:
+    assert job().trial(5) == job(Params(K2=20.0)).trial(5)
+    assert job().trial(5) != job().trial(6)
+    assert job().trial(5) != job(seed=1).trial(5)
+    one, other, next_block = (job().trial(i) for i in (5, 5 + trials.POOL, 5 + trials.BLOCK))
+    assert (one.motion, one.sensor) == (other.motion, other.sensor)
+    assert one.stiffness != other.stiffness
+    assert one.motion != next_block.motion
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("few")
+def test_every_trial_is_the_experiment_it_says() -> None:
+    """Against the public function, one by one; K̂_s 200 is unstable on stiff tissue, whatever the run does."""
+    controllers = Params(), Params(Khat_s=200.0)
+    given = job(*controllers, spread=HARD)
+    found = trials.run(given, BLOCK)
+    assert (found.status[:, 1] == Status.UNSTABLE).any()
+    for i in range(BLOCK):
+        expected = evaluate(Params.stack(controllers), given.trial(i))
+        np.testing.assert_array_equal(found.status[i], np.asarray(expected.status)[:, 0])
+        # Two programs round differently, and friction and quantisers amplify it for 2.6 s.
+        np.testing.assert_allclose(found.spectral_radius[i], expected.margins.spectral_radius[:, 0], rtol=1e-9)
+        ok = found.status[i] == Status.OK
+        np.testing.assert_allclose(found.rms[i][ok], expected.metrics.rms[:, 0][ok], rtol=1e-6)
+        np.testing.assert_allclose(found.peak_error[i][ok], expected.metrics.peak_error[:, 0][ok], rtol=1e-6)
+
+
+@pytest.mark.usefixtures("few")
+def test_motions_robots_and_controllers_find_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program that gives back what it was given, for controllers of two structures in between each other."""
+
+    def block_program(kind: Any, preview: bool, varied: Any, structure: Any) -> Callable[..., Any]:
+        def run(batch: Any, shared: Any) -> Any:
+            (signals, own), (params, *_) = batch, shared
+            K2 = np.broadcast_to(params.K2, (*own[0].shape, len(params.K2)))
+            # Of what varies, stiffness alone exceeds 300.
+            stiffness = next(values for values in own if values.min() > 300.0)[..., None] + 0.0 * K2
+            noise = np.broadcast_to(signals.noise[:, None, None, 7], (*K2.shape, 3))
+            return 0.0 * K2, stiffness, K2, noise, noise
+
+        return run
+
+    monkeypatch.setattr(trials, "block_program", block_program)
+    controllers = Params(K2=1.0), Params(K2=2.0, disturbance_order=2), Params(K2=3.0)
+    given = job(*controllers, spread=NOMINAL)
+    found = trials.run(given, 2 * BLOCK - 1)
+    assert found.status.shape == (2 * BLOCK - 1, 3)
+    np.testing.assert_array_equal(found.spectral_radius, np.tile([1.0, 2.0, 3.0], (2 * BLOCK - 1, 1)))
+    for i, (met, noise) in enumerate(zip(found.when, found.rms, strict=True)):
+        trial = given.trial(i)
+        np.testing.assert_array_equal(met, trial.stiffness[0])
+        np.testing.assert_array_equal(noise, np.tile(trial.signals.noise[7], (3, 1)))
+
+
+@pytest.mark.usefixtures("few")
+def test_blocks_are_kept_and_refused_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    computed = []
+
+    def computer(_: Job) -> Callable[[int], Outcomes]:
+        def compute(first: int) -> Outcomes:
+            computed.append(first)
+            return outcomes(np.arange(first, first + BLOCK)[:, None])
+
+        return compute
+
+    monkeypatch.setattr(trials, "_computer", computer)
+    alone = trials.run(job(), 10)
+    assert computed == [0, 4, 8]
+    trials.run(job(), 3, tmp_path)
+    damaged = tmp_path / "0000000.npz"
+    whole = damaged.read_bytes()
+    damaged.write_bytes(whole[:-1])
+    again = trials.run(job(), 10, tmp_path)
+    third = trials.run(job(), 10, tmp_path)
+    assert computed == [0, 4, 8, 0, 0, 4, 8]
+    assert damaged.read_bytes() == whole
+    for field, second, kept in zip(alone, again, third, strict=True):
+        np.testing.assert_array_equal(second, field)
+        np.testing.assert_array_equal(kept, field)
+    with pytest.raises(InputError, match="very trials"):
+        trials.run(job(seed=1), 3, tmp_path)
+
+
+def test_what_cannot_be_tried_is_refused() -> None:
+    with pytest.raises(InputError, match="wam"):
+        Job((Params(),), Experiment.published("table-1"))
+    with pytest.raises(InputError, match="seed"):
+        job(seed=-1)
+    with pytest.raises(InputError, match="trials"):
+        trials.run(job(), 0)

@@ -1,0 +1,135 @@
+"""The part of the report that says why the result is as it is."""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmpc.experiment import AXES
+from tuning.agreement import Agreement, agreement
+from tuning.gradients import SCORE
+from tuning.html import Html, note, picture, section, table, tag
+from tuning.limits import RELAXED, Limits, limits
+from tuning.loops import Curves, curves
+from tuning.result import TuneResult
+from tuning.sensitivities import Sensitivities, sensitivities
+from tuning.split import CAUSES, Split, split
+from tuning.state import FEASIBLE
+from tuning.study_figures import agreement_figure, sensitivities_figure, split_figure
+
+
+class Study(NamedTuple):
+    """What explains a result; it takes looks and programs of its own, so it is made once."""
+
+    loops: tuple[Curves, Curves]
+    """Before and after."""
+    sensitivities: Sensitivities
+    split: Split
+    agreement: Agreement | None
+    limits: Limits
+
+
+def study(result: TuneResult) -> Study:
+    """Everything in the report that the run itself has not computed."""
+    spec = result.spec
+    before, after = (curves(params, spec.experiment, spec.ideal) for params in (spec.before, result.params))
+    return Study((before, after), sensitivities(result), split(result), agreement(result), limits(result))
+
+
+def explained(result: TuneResult, found: Study) -> list[Html]:
+    """Sections of the page."""
+    sections = [
+        section("What limits it", *(tag("p", line) for line in limits_text(result, found))),
+        _split(result, found.split),
+        _sensitivities(result, found.sensitivities),
+    ]
+    return [*sections, _agreement(result, found.agreement)] if found.agreement else sections
+
+
+def limits_text(result: TuneResult, found: Study) -> Iterator[str]:
+    """What keeps the tuned controller from being better, in sentences."""
+    for goal in found.limits.active:
+        where = f" at {goal.stiffness:.4g} N/m" if goal.stiffness else " in training"
+        stands = "active" if goal.normalised <= FEASIBLE else "missed"
+        line = f"The goal {goal.goal} is {stands}{where}: {100 * goal.normalised:.1f} % of its limit."
+        if np.isfinite(goal.multiplier):
+            line += f" With its limit relaxed by {100 * RELAXED:.0f} % the score would fall by some "
+            line += f"{100 * goal.gain:.1f} % (multiplier {goal.multiplier:.2f}, to first order)."
+        yield line
+    if not found.limits.active:
+        yield "No hard goal is active: more steps, wider bounds or another structure may improve it."
+    if np.isfinite(found.limits.unexplained):
+        yield (
+            f"Active goals balance all but {100 * found.limits.unexplained:.0f} % of the score's slope. The more is "
+            "left, the rougher are these estimates: more steps may still help, or the worst case stands at a kink."
+        )
+    whole = found.split.whole[1]
+    if np.isfinite(whole).all():
+        i, a = np.unravel_index(int(np.argmax(whole)), whole.shape)
+        alone = {name: getattr(found.split, name)[1, i, a] for name in CAUSES}
+        shares = (
+            f"{name} {1e3 * force:.1f} mN ({100 * (force / whole[i, a]) ** 2:.0f} % of its power)"
+            for name, force in alone.items()
+            if force > 0.0
+        )
+        yield (
+            f"The largest residual that the frequency response predicts, on the {AXES[a]} axis at "
+            f"{result.spec.experiment.stiffness[i]:g} N/m, is {1e3 * whole[i, a]:.1f} mN. Alone would leave: "
+            f"{', '.join(shares)}."
+        )
+
+
+def _split(result: TuneResult, parts: Split) -> Html:
+    lines = []
+    for i, K_s in enumerate(result.spec.experiment.stiffness):
+        for a, axis in enumerate(AXES):
+            both = (getattr(parts, name)[:, i, a] for name in ("whole", *CAUSES))
+            lines.append(
+                [f"{K_s:g} N/m, {axis}", *(f"{1e3 * before:.1f} → {1e3 * after:.1f}" for before, after in both)]
+            )
+    words = (
+        "Root mean square that each cause alone would leave, from the frequency response of the linear loop and the "
+        "spectra of the scenarios in training. Friction follows the heart's velocity, so squares do not add up."
+    )
+    if not np.nanmax(parts.friction, initial=0.0) > 0.0:
+        words += " The linear world has no friction."
+    head = ("tissue, axis", "all together [mN]", *(f"{name} [mN]" for name in CAUSES))
+    return section(
+        "Causes of the residual", picture(partial(split_figure, result, parts)), note(words), table(head, lines)
+    )
+
+
+def _sensitivities(result: TuneResult, found: Sensitivities) -> Html:
+    stiffness = result.spec.experiment.stiffness
+    lines = [
+        [f"{metric} at {K_s:g} N/m", f"{value:.4g}", *map(_signed, found.slopes[k, :, i])]
+        for k, metric in enumerate(found.metrics)
+        for i, (K_s, value) in enumerate(zip(stiffness, found.values[k], strict=True))
+    ]
+    words = (
+        f"Change of each metric in per cent per per cent of a parameter, of the tuned controller on each tissue alone: "
+        f"exact gradients on the level “{found.level}”. The {SCORE} stands for the soft goals "
+        f"({', '.join(result.spec.soft)}; worst axis and scenario), margins are relative to their limits. Horizons are "
+        "whole, so theirs is the change over a sample to either side."
+    )
+    figure = picture(partial(sensitivities_figure, result, found))
+    return section(
+        "Sensitivity to the parameters", figure, note(words), table(("metric", "value", *found.parameters), lines)
+    )
+
+
+def _agreement(result: TuneResult, found: Agreement) -> Html:
+    lines = [[f"{p.coarse} – {p.fine}", f"{p.rank:.3f}", f"{p.ratio:.3f}"] for p in found.pairs]
+    words = (
+        f"The same {found.score.shape[1]} points, the best starts of every level and round, judged on each level. A "
+        "level that only proposes must rank them alike; its numbers may differ."
+    )
+    head = ("levels", "rank correlation of the score (Spearman)", "ratio of the worst RMS (median)")
+    return section(
+        "Agreement of the levels", picture(partial(agreement_figure, result, found)), table(head, lines), note(words)
+    )
+
+
+def _signed(slope: float) -> str:
+    return f"{slope:+.3f}" if not abs(slope) < 0.0005 else "0"

@@ -1,0 +1,83 @@
+"""The files of a tuning run."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmpc import __version__
+from jaxmpc.sealed import seal, write_atomic
+from jaxmpc.spec import write_toml
+from tuning.explained import study
+from tuning.figures import before_after_figure, history_figure
+from tuning.loop_figures import nyquist_figure, sensitivity_figure, step_figure
+from tuning.page import html_report
+from tuning.report import report
+from tuning.result import TuneResult
+from tuning.study_figures import split_figure
+
+
+def write(result: TuneResult, folder: Path) -> list[Path]:
+    """Write params.toml (if feasible), history.npz, report.txt, the figures and report.html.
+
+    Returns:
+        The files written.
+    """
+    written = []
+    if result.feasible:
+        written.append(folder / "params.toml")
+        comment = "Tuned by jaxmpc. Freeze it: jaxmpc freeze params.toml -o controller.npz"
+        write_toml(written[-1], {"params": result.params.to_dict(), "provenance": provenance(result)}, comment)
+    written.append(folder / "history.npz")
+    write_atomic(written[-1], history(result))
+    written.append(folder / "report.txt")
+    write_atomic(written[-1], report(result).encode())
+    found = study(result)
+    for name, draw in (
+        ("history.png", history_figure),
+        ("before_after.png", before_after_figure),
+        ("sensitivity.png", partial(sensitivity_figure, pair=found.loops)),
+        ("nyquist.png", partial(nyquist_figure, pair=found.loops)),
+        ("step.png", partial(step_figure, pair=found.loops)),
+        ("split.png", partial(split_figure, parts=found.split)),
+    ):
+        written.append(folder / name)
+        draw(result, path=written[-1])
+    written.append(folder / "report.html")
+    write_atomic(written[-1], html_report(result, found).encode())
+    return written
+
+
+def provenance(result: TuneResult) -> dict[str, Any]:
+    """Where the parameters come from and what was measured of them."""
+    spec, (before, after) = result.spec, result.worst
+    peaks = {kind: [float(x) for x in found.M_s[1]] for kind, found in result.margins.items()}
+    return {
+        "made_by": f"jaxmpc {__version__} tune",
+        "spec_sha256": spec.digest,
+        "experiment": spec.experiment.name,
+        "train_seeds": list(spec.tune.train_seeds),
+        "validation_seeds": list(spec.tune.validation_seeds),
+        "heldout_seeds": list(spec.tune.heldout_seeds),
+        "added_seeds": [step.added.trained.motion.seed for step in result.steps if step.added],
+        "goals": {**spec.goals, "ideal": spec.ideal, "soft": dict(spec.soft)},
+        "stiffness": [float(K_s) for K_s in spec.judged_at],
+        "M_s_as_run": peaks["as run"],
+        "M_s_ideal": peaks["ideal"],
+        "heldout_worst_rms_before": before,
+        "heldout_worst_rms_after": after,
+    }
+
+
+def history(result: TuneResult) -> bytes:
+    """Every descent as sealed arrays, up to its last look: engineering values of every look and start."""
+    space = result.spec.space
+    arrays: dict[str, np.ndarray] = {f"heldout_{name}": field for name, field in result.heldout._asdict().items()}
+    for step in result.steps:
+        state, looks = step.state, step.state.look
+        kept = ("score", "worst", "M_s", "hard", "soft", "incumbent")
+        arrays |= {f"{step.name}/{name}": getattr(state, name)[:looks] for name in kept}
+        arrays |= {f"{step.name}/values": space.values(state.path[:looks]), f"{step.name}/skipped": state.skipped}
+    header = {"kind": "jaxmpc tuning history", "spec": result.spec.to_dict(), "names": space.names}
+    return seal(header, arrays)

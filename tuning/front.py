@@ -1,0 +1,146 @@
+"""The front of what can be had: the soft goals against the limits of hard ones, such as M_s and effort, in one descent.
+
+Every combination of limits is a start of its own with limits of its own, so the whole front costs one program. Between
+the legs of the descent each point takes over the best vector of any other that also holds its limits.
+"""
+
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import msgspec
+import numpy as np
+
+from jaxmpc.figures import figure
+from jaxmpc.metrics import Metrics
+from jaxmpc.params import BOUNDS, Params
+from jaxmpc.precision import in_float64
+from jaxmpc.sealed import write_atomic
+from tuning.goals import UNITS
+from tuning.ladder import climb
+from tuning.optimise import descend, schedule
+from tuning.problem import problem_of, training
+from tuning.spec import TuneSpec
+from tuning.state import FEASIBLE, State
+
+LEGS = 3
+"""Descents with an exchange between them."""
+SHARE = 0.2
+"""Share of the job's steps that a leg takes."""
+
+
+class Front(NamedTuple):
+    """Points of a front, loosest limits first; NaN where nothing was found that holds them."""
+
+    limits: dict[str, np.ndarray]
+    """Per goal, (points,)."""
+    params: list[Params | None]
+    score: np.ndarray
+    """Risk of the soft goals in training, (points,) [-]."""
+    hard: np.ndarray
+    """Reached value of each limited goal, (points, goals), in its unit."""
+    cells: Metrics
+    """In training, each field (points, stiffness, scenarios, 3)."""
+
+
+@in_float64
+def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z: np.ndarray | None = None) -> Front:
+    """The front of a job, for the limits in its table [pareto].
+
+    Args:
+        spec: The job.
+        folder: Where the states are kept, and where `pareto.csv` and `pareto.png` go; None keeps none.
+        progress: Whether to show progress.
+        z: Where every point starts, (size,); None tunes the job first.
+
+    Raises:
+        InputError: The folder holds the state of another job.
+    """
+    if z is None:
+        way = climb(spec, folder, progress)
+        spec, z = way.spec, way.steps[-1].state.leader_z
+    combined = list(product(*(sorted(values, reverse=True) for values in spec.pareto.values())))
+    limits = {name: np.array([row[i] for row in combined]) for i, name in enumerate(spec.pareto)}
+    job = msgspec.structs.replace(spec, goals={**spec.goals, **{name: combined[0][i] for i, name in enumerate(limits)}})
+    problem = problem_of(job, spec.ladder[-1], training(spec, spec.tune.train_seeds)).with_limits(limits)
+    goals = [*job.margin_goals, *problem.hard_goals]
+    asked = np.stack([limits.get(name, np.full(len(combined), job.goals[name])) for name in goals], axis=1)
+    floors = np.array([name in job.margin_goals and name != "M_s" for name in goals])
+    starts = np.tile(z, (len(combined), 1))
+    for leg in range(LEGS):
+        plan = schedule(max(1, round(SHARE * spec.tune.steps)), False, spec.tune.learning_rate * 0.5**leg)
+        plan = plan._replace(patience=len(plan.widths))
+        state = descend(job, problem, starts, plan, folder, f"state-pareto-{leg + 1}.npz", progress)
+        starts = handed_on(state, asked, floors)
+    values = problem.look(starts, 1.0)
+    held = values.hard.max(axis=1) <= FEASIBLE
+    columns = [goals.index(name) for name in limits]
+    reached = np.where(floors, asked / values.hard, values.hard * asked)
+    front = Front(
+        limits,
+        [spec.space.exact(row) if ok else None for row, ok in zip(starts, held, strict=True)],
+        np.where(held, values.score, np.nan),
+        np.where(held[:, None], reached[:, columns], np.nan),
+        jax.tree.map(lambda field: np.where(held[:, None, None, None], field, np.nan), values.cells),
+    )
+    if folder is not None:
+        write_atomic(folder / "pareto.csv", table(front).encode())
+        front_figure(front, folder / "pareto.png")
+    return front
+
+
+def handed_on(state: State, asked: np.ndarray, floors: np.ndarray) -> np.ndarray:
+    """Starts of the next leg: per point the best vector of any point that holds its limits, else its closest one.
+
+    Args:
+        state: After a leg.
+        asked: Limits, (points, goals).
+        floors: Which of them are floors, (goals,).
+    """
+    found = np.isfinite(state.best)
+    own = np.where(found[:, None], state.best_z, state.closest_z)
+    # Normalised goals of each point's best vector, at the look that found it.
+    at = [int(np.argmax((state.path[: state.look, i] == own[i]).all(axis=1))) for i in range(len(own))]
+    normalised = np.stack([state.hard[look, i] for i, look in enumerate(at)])
+    for i, limit in enumerate(asked):
+        ratio = asked / limit
+        fits = found & (np.where(floors, 1.0 / ratio, ratio) * normalised <= FEASIBLE).all(axis=1)
+        score = np.where(fits, state.best, np.inf)
+        if score.min() < (state.best[i] if found[i] else np.inf):
+            own[i] = state.best_z[int(np.argmin(score))]
+    return own
+
+
+def table(front: Front) -> str:
+    """The front as CSV."""
+    names = [f"limit_{name}" for name in front.limits] + [f"reached_{name}" for name in front.limits]
+    lines = [",".join([*names, "score", "worst_rms_N", "effort_m_s2", *BOUNDS])]
+    for i, params in enumerate(front.params):
+        numbers = [*(values[i] for values in front.limits.values()), *front.hard[i], front.score[i]]
+        numbers += [front.cells.rms[i].max(), front.cells.effort[i].max()]
+        found = [np.asarray(getattr(params, name)) for name in BOUNDS] if params else []
+        entries = [f"{value:.6g}" if value.ndim == 0 else " ".join(f"{x:.6g}" for x in value) for value in found]
+        entries += [""] * (len(BOUNDS) - len(entries))
+        lines.append(",".join([*(f"{number:.6g}" for number in numbers), *entries]))
+    return "\n".join(lines) + "\n"
+
+
+def front_figure(front: Front, path: Path) -> None:
+    """Score over the first limited goal, a line for each combination of the other limits.
+
+    Args:
+        front: What `pareto` returned.
+        path: Where the figure goes.
+    """
+    first, *others = front.limits
+    rest = np.stack([front.limits[name] for name in others], axis=1) if others else np.zeros((len(front.score), 0))
+    with figure(path, 1, 1, size=(4.5, 3.2)) as panel:
+        for row in np.unique(rest, axis=0):
+            line = (rest == row).all(axis=1)
+            label = ", ".join(f"{name} ≤ {value:g}" for name, value in zip(others, row, strict=True))
+            panel.plot(front.hard[line, 0], front.score[line], "o-", ms=4, label=label or None)
+        panel.set_xlabel(f"{first} {UNITS[first]}".strip())
+        panel.set_ylabel("score of the soft goals")
+        if others:
+            panel.legend()

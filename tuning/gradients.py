@@ -1,0 +1,105 @@
+r"""Exact gradients of single goals on single tissues, from the program that the tuner has compiled already.
+
+A look sees log score + `PENALTY` · Σ max(0, 1 − 1/g + headroom) over the hard goals g. Limits and stiffnesses are data:
+with limits that nothing can miss its gradient is that of the log score; with one limit that nothing can meet
+
+    ∇look − ∇log score = PENALTY · n/g · ∇log g
+
+where n counts the stiffnesses at which a margin is judged, here all the same one, and is 1 for a goal of the runs.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from tuning.goals import MARGINS
+from tuning.objective import PENALTY, Values
+from tuning.problem import Problem
+
+FACTOR = 1e3
+"""By so much a limit is moved to be out of reach, or in the reach of everybody."""
+SCORE = "score"
+
+
+class Slope(NamedTuple):
+    """The score or a normalised goal at one vector."""
+
+    value: float
+    """[-]; NaN where unstable."""
+    gradient: Float[np.ndarray, " size"]
+    """Of its logarithm, per unconstrained number."""
+    beside: Float[np.ndarray, " others"]
+    """Its values at the other vectors."""
+
+
+def slopes(problem: Problem, z: np.ndarray, starts: int, others: np.ndarray | None = None) -> dict[str, Slope]:
+    """The score under `SCORE`, and every hard goal that the level sees, of one vector.
+
+    Args:
+        problem: Its margins are judged on one tissue (`judged_on`, `on_tissue`).
+        z: Unconstrained parameters, (size,).
+        starts: As many rows as its program was compiled for.
+        others: Vectors whose values are wanted besides, (others, size).
+    """
+    others = np.empty((0, len(z))) if others is None else others
+    names = [*problem.data.margins, *problem.hard_goals]
+    own = len(names) + 1
+    easier = {name: np.full(own + len(others), FACTOR) for name in (*problem.data.margins, *problem.data.hard)}
+    for row, name in enumerate(names, 1):
+        easier[name][row] = 1.0 / FACTOR
+    seen = looked(problem, np.concatenate([np.tile(z, (own, 1)), others]), starts, easier)
+    found = {SCORE: Slope(float(seen.score[0]), seen.gradient[0], seen.score[own:])}
+    for i, name in enumerate(names):
+        copies = len(problem.data.judged_at) if name in problem.data.margins else 1
+        reached = float(seen.hard[i + 1, i])
+        gradient = (seen.gradient[i + 1] - seen.gradient[0]) * reached / (PENALTY * copies)
+        found[name] = Slope(reached / FACTOR, gradient, seen.hard[own:, i] * FACTOR)
+    return found
+
+
+def looked(problem: Problem, z: np.ndarray, starts: int, easier: Mapping[str, np.ndarray] | None = None) -> Values:
+    """`Problem.look` at any number of vectors with whole horizons, so many at a time: the same program.
+
+    Args:
+        problem: The problem.
+        z: Unconstrained parameters, (rows, size).
+        starts: As many rows as its program was compiled for.
+        easier: How many times as easy to meet each row's hard limits are than the job's, (rows,) each; None is 1.
+    """
+    parts = []
+    for first in range(0, len(z), starts):
+        rows = np.minimum(np.arange(first, first + starts), len(z) - 1)
+        limits: Any = {name: _moved(problem, name, factors[rows]) for name, factors in (easier or {}).items()}
+        parts.append(problem.with_limits(limits).look(z[rows], 1.0))
+    whole: Values = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(z)], *parts)
+    return whole
+
+
+def judged_on(problem: Problem, stiffness: float) -> Problem:
+    """The same with all margins judged on one tissue."""
+    data = problem.data
+    return problem._replace(data=data._replace(judged_at=jnp.full_like(data.judged_at, stiffness)))
+
+
+def on_tissue(problem: Problem, which: int) -> Problem:
+    """The same on one of the experiment's tissues alone."""
+    data = problem.data
+
+    def alone(per_tissue: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(per_tissue[which], per_tissue.shape)
+
+    scene = data.scene._replace(stiffness=alone(data.scene.stiffness))
+    data = data._replace(scene=scene, reference=jax.tree.map(alone, data.reference))
+    return judged_on(problem._replace(data=data), float(scene.stiffness[0]))
+
+
+def _moved(problem: Problem, name: str, easier: np.ndarray) -> jax.Array:
+    """Limits that are so many times as easy to meet: M_s and what the runs measure are ceilings, the rest floors."""
+    limit = (problem.data.margins if name in problem.data.margins else problem.data.hard)[name]
+    ceiling = name == "M_s" or name not in MARGINS
+    # Of the very type of the job's limit, so that the program stays the same.
+    return jnp.stack([limit * factor if ceiling else limit / factor for factor in easier.tolist()])

@@ -1,0 +1,102 @@
+r"""What keeps the tuned controller from being better: active goals and their prices.
+
+At a constrained minimum of the log score f with active goals log gᵢ ≤ 0 there are multipliers λᵢ ≥ 0 with
+
+    ∇f + Σ λᵢ ∇log gᵢ = 0;   a limit relaxed by the factor 1 + r changes the score by (1 + r)^−λᵢ, to first order.
+
+The tuner stops near such a point, not on it, so the λᵢ are those of the least squares.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxmpc.precision import in_float64
+from tuning.goals import standing
+from tuning.gradients import SCORE, Slope, judged_on, slopes
+from tuning.result import TuneResult
+from tuning.sensitivities import vector_of
+
+ACTIVE = 0.97
+"""Normalised goals above this hold the controller back [-]."""
+RELAXED = 0.10
+"""By how much a limit is relaxed in thought."""
+
+
+class Active(NamedTuple):
+    """A hard goal that is active."""
+
+    goal: str
+    stiffness: float | None
+    """Where, a local maximum over the tissues [N/m]; None for a goal of the runs."""
+    normalised: float
+    """[-]"""
+    multiplier: float
+    """λ [-]; NaN without a feasible point."""
+
+    @property
+    def gain(self) -> float:
+        """How far the score would fall if this limit alone were relaxed by `RELAXED` [-]."""
+        return float(1.0 - (1.0 + RELAXED) ** -self.multiplier)
+
+
+class Limits(NamedTuple):
+    """What holds the tuned controller back."""
+
+    active: list[Active]
+    unexplained: float
+    """Share of the score's slope that no active goal holds against, of its length [-]: what tuning on could use, or
+    what the kinks of a worst case hide."""
+
+
+@in_float64
+def limits(result: TuneResult) -> Limits:
+    """Active goals of the tuned controller, with multipliers from exact gradients."""
+    z, last, first = vector_of(result), result.steps[-1], result.steps[0]
+    runs = slopes(last.problem, z, len(last.state.z))
+    held: list[tuple[Active, Slope]] = []
+    for name, K_s, normalised in active_margins(result):
+        # Margins are the same on every level, and cheapest on the first.
+        slope = slopes(judged_on(first.problem, K_s), z, len(first.state.z))[name]
+        held.append((Active(name, K_s, normalised, np.nan), slope))
+    for name in last.problem.hard_goals:
+        if runs[name].value > ACTIVE:
+            held.append((Active(name, None, runs[name].value, np.nan), runs[name]))
+    goals, downhill = [goal for goal, _ in held], -runs[SCORE].gradient
+    if not result.feasible or not np.isfinite(runs[SCORE].value):
+        return Limits(goals, np.nan)
+    multipliers, left = multipliers_of(downhill, [slope.gradient for _, slope in held])
+    priced = [goal._replace(multiplier=float(price)) for goal, price in zip(goals, multipliers, strict=True)]
+    return Limits(priced, left / max(float(np.linalg.norm(downhill)), 1e-300))
+
+
+def active_margins(result: TuneResult) -> list[tuple[str, float, float]]:
+    """Goal, stiffness [N/m] and normalised value [-] of the tuned controller's active margins, each a local maximum."""
+    spec = result.spec
+    judged: Any = jax.tree.map(lambda field: field[1], result.margins["ideal" if spec.ideal else "as run"])
+    found = []
+    for name, row in zip(spec.margin_goals, np.asarray(standing(judged, spec.margin_goals).normalised), strict=True):
+        padded = np.concatenate([[-np.inf], row, [-np.inf]])
+        peaks = (row > ACTIVE) & (row >= padded[:-2]) & (row > padded[2:])
+        found += [(name, float(spec.judged_at[i]), float(row[i])) for i in np.flatnonzero(peaks)]
+    return found
+
+
+def multipliers_of(
+    downhill: Float[np.ndarray, " size"], gradients: Sequence[Float[np.ndarray, " size"]]
+) -> tuple[Float[np.ndarray, " goals"], float]:
+    """Multipliers λ ≥ 0 that bring −∇f − Σ λᵢ ∇log gᵢ closest to zero, and the length that is left.
+
+    Args:
+        downhill: −∇f.
+        gradients: ∇log gᵢ of every active goal.
+    """
+    from scipy.optimize import nnls
+
+    if not gradients:
+        return np.zeros(0), float(np.linalg.norm(downhill))
+    multipliers, left = nnls(np.stack(gradients, axis=1), downhill)
+    return multipliers, float(left)

@@ -1,0 +1,106 @@
+"""What a controller looks like to a control engineer: its open loops over frequency and its step response."""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Complex, Float
+
+from jaxmpc import design
+from jaxmpc.experiment import Experiment
+from jaxmpc.law import cascade
+from jaxmpc.law.cascade import Gains
+from jaxmpc.params import Params
+from jaxmpc.precision import in_float64
+from jaxmpc.scene import world_of
+from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
+from jaxmpc.stability.response import loop_response
+from jaxmpc.world import contact as world
+from jaxmpc.world.contact import Contact, hertz
+from tuning.objective import STEP_SAMPLES
+
+LOWEST_HZ, POINTS = 0.1, 500
+"""Where the curves over frequency begin, and their points up to the Nyquist frequency, in equal ratios."""
+
+_contact = jax.jit(contact_of, static_argnames=("ideal",))
+
+
+class Curves(NamedTuple):
+    """One controller on the experiment's tissues."""
+
+    frequency: Float[np.ndarray, " points"]
+    """[Hz]"""
+    open_loop: Complex[np.ndarray, "stiffness points"]
+    """L, cut where its sensitivity peaks higher: at v or at a = v − K₂ẋ [-]."""
+    time: Float[np.ndarray, " samples"]
+    """[s]"""
+    force: Float[np.ndarray, "stiffness samples"]
+    """Answer of the linear loop to a step of its reference by 1 N [N]."""
+
+    @property
+    def sensitivity(self) -> Float[np.ndarray, "stiffness points"]:
+        """|S| = |1/(1 + L)| [-]."""
+        magnitude: np.ndarray = 1.0 / np.abs(1.0 + self.open_loop)
+        return magnitude
+
+    @property
+    def overshoot(self) -> Float[np.ndarray, " stiffness"]:
+        """How far the force exceeds the step, relative to it [-]."""
+        excess: np.ndarray = np.maximum(self.force.max(axis=1) - 1.0, 0.0)
+        return excess
+
+
+@in_float64
+def curves(params: Params, experiment: Experiment, ideal: bool) -> Curves:
+    """Curves of one controller.
+
+    Args:
+        params: The controller.
+        experiment: Its tissues, delay and filters; the step is that of its linear loop.
+        ideal: Whether L is that of the ideal loop, or of the loop as it runs; as in `jaxmpc.margins`.
+    """
+    T_s = experiment.sampling_time
+    stiffness = np.asarray(experiment.stiffness)[:, None]
+    # Of plain arrays the closed forms are plain arithmetic, so next to nothing is compiled.
+    gains = jax.tree.map(np.asarray, design(params, experiment.timing))
+
+    def worlds(ideal: bool, velocity_cutoff: float, sensor_cutoff: float) -> Contact:
+        found = _contact(stiffness, params.K2, T_s, experiment.delay, ideal, velocity_cutoff, sensor_cutoff)
+        plain: Contact = jax.tree.map(np.asarray, found)
+        return plain
+
+    theta = np.geomspace(2.0 * np.pi * LOWEST_HZ * T_s, np.pi, POINTS)
+    judged = worlds(ideal, VELOCITY_CUTOFF, 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ))
+    loops = np.stack(
+        [np.asarray(loop_response(gains, judged, theta, cut)) for cut in ((0.0,) if ideal else (0.0, 1.0))]
+    )
+    worse = np.argmin(np.abs(1.0 + loops).min(axis=2), axis=0)
+    met = worlds(world_of(experiment).ideal, experiment.velocity_lowpass, hertz(experiment.sensor.lowpass_hz))
+    return Curves(
+        theta / (2.0 * np.pi * T_s),
+        loops[worse, np.arange(len(worse))],
+        np.arange(STEP_SAMPLES) * T_s,
+        step_response(gains, met),
+    )
+
+
+def step_response(gains: Gains, contact: Contact, samples: int = STEP_SAMPLES) -> Float[np.ndarray, "worlds samples"]:
+    """Measured force of the linear loop after a step of its reference by 1 N at rest, by the law itself [N].
+
+    Args:
+        gains: One controller, plain arrays.
+        contact: Worlds whose stiffness has the shape (worlds, 1).
+        samples: How many.
+    """
+    # The law is plain arithmetic: it runs on arrays of tissues as it stands, and nothing is compiled.
+    summed = gains._replace(mpc_ref=(np.sum(gains.mpc_ref),))
+    zero: Any = np.zeros_like(contact.stiffness)
+    controller, state = cascade.init(zero, cascade.order(gains)), world.init(zero)
+    forces = []
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(samples):
+            force, state = world.sense(contact, state, zero)
+            controller, v = cascade.step(summed, controller, force, (1.0,))
+            state, _ = world.move(contact, state, v)
+            forces.append(force)
+    return np.concatenate(forces, axis=1)

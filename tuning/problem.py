@@ -1,0 +1,146 @@
+"""A job on one level of fidelity and one set of scenarios, as a function of all starts."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from jaxmpc.experiment import Experiment
+from jaxmpc.metrics import Metrics
+from jaxmpc.scene import Scene, scene_of, side_by_side, world_of
+from jaxmpc.stability.spectrum import spectrum_of
+from jaxmpc.uncompensated import uncompensated_acceleration
+from tuning.objective import Data, Kind, Values, measure, seen, value_and_gradient
+from tuning.scenarios import scenarios, scene_over
+from tuning.settings import Level
+from tuning.spec import TuneSpec
+
+COARSER = 3
+"""A level that only proposes judges margins at one in so many stiffnesses."""
+
+
+class Problem(NamedTuple):
+    """What the descent descends on."""
+
+    data: Data
+    kind: Kind
+
+    def look(self, z: np.ndarray, width: float) -> Values:
+        """Value and gradient of all starts, dealt out to all local devices.
+
+        Args:
+            z: Unconstrained parameters, (starts, size).
+            width: Softness of the horizons, 1 is whole [samples].
+        """
+        missing = -len(z) % len(jax.local_devices())
+
+        def wide(limit: Any) -> Any:
+            return jnp.broadcast_to(jnp.asarray(limit, float), (len(z),))
+
+        rows = z, jax.tree.map(wide, self.data.margins), jax.tree.map(wide, self.data.hard)
+        padded = jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)]), rows)
+        found = _dealt(self.kind)(padded, self.data._replace(margins={}, hard={}), width)
+        values: Values = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(z)], found)
+        return values
+
+    @property
+    def soft_goals(self) -> tuple[str, ...]:
+        """Those that this level can see, or its stand-in for them."""
+        return seen(self.data.soft, self.data) or ("rms",)
+
+    @property
+    def hard_goals(self) -> tuple[str, ...]:
+        """Those on the runs that this level can see."""
+        return seen(self.data.hard, self.data)
+
+    def with_limits(self, limits: Mapping[str, np.ndarray]) -> "Problem":
+        """The same with hard limits of each start's own, (starts,)."""
+        data = self.data
+        margins = {name: jnp.asarray(limits.get(name, value), float) for name, value in data.margins.items()}
+        hard = {name: jnp.asarray(limits.get(name, value), float) for name, value in data.hard.items()}
+        return self._replace(data=data._replace(margins=margins, hard=hard))
+
+
+@cache
+def _dealt(kind: Kind) -> Callable[..., Values]:
+    """Value and gradient, compiled once per kind and shapes; each device has its share of the starts."""
+    spec: Any = PartitionSpec
+    split, whole = spec("device"), spec()
+
+    def on_device(rows: Any, data: Data, width: Any) -> Values:
+        z, margins, hard = rows
+        return value_and_gradient(z, data._replace(margins=margins, hard=hard), width, kind)
+
+    mesh = Mesh(np.array(jax.local_devices()), ("device",))
+    mapped = jax.shard_map(on_device, mesh=mesh, in_specs=(split, whole, whole), out_specs=split, check_vma=False)
+    compiled: Callable[..., Values] = jax.jit(mapped)
+    return compiled
+
+
+def training(spec: TuneSpec, seeds: Sequence[int]) -> list[Experiment]:
+    """Scenarios at the length of a training run."""
+    tune = spec.tune
+    base = msgspec.structs.replace(spec.experiment, duration=tune.duration, settle=tune.settle)
+    return scenarios(base, spec.scenarios, seeds)
+
+
+def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Problem:
+    """A job on one level.
+
+    Args:
+        spec: The job.
+        level: The level.
+        met: The scenarios.
+    """
+    scene, spectra = _seen(level, met)
+    # Scenarios may differ in delay; margins are judged at the experiment's.
+    scene = scene._replace(delay=float(spec.experiment.delay))
+    experiment = met[0] if level == "arm" else msgspec.structs.replace(met[0], physics="linear")
+    kind = Kind(spec.space.axes, spec.ideal, world_of(experiment), spec.tune.precision, spec.risk)
+    cells = (len(scene.stiffness), len(met), 3)
+    data = Data(
+        scene=scene,
+        spectra=spectra,
+        base=spec.params,
+        margins=spec.margin_goals,
+        hard=spec.hard_goals,
+        soft=dict(spec.soft),
+        judged_at=spec.judged_at if level == spec.ladder[-1] else coarser(spec),
+        reference=Metrics(*[jnp.ones(cells)] * len(Metrics._fields)),
+    )
+    data = jax.tree.map(jnp.asarray, data)
+    if any(name.endswith("_ratio") for name in {**spec.soft, **spec.goals}):
+        old = spec.met_before(met)
+        scene, spectra = jax.tree.map(jnp.asarray, _seen(level, old))
+        world = world_of(old[0]) if level == "arm" else kind.world
+        seen_before = data._replace(scene=scene, spectra=spectra)
+        data = data._replace(reference=measure(spec.before, seen_before, kind._replace(world=world)))
+    return Problem(data, kind)
+
+
+def coarser(spec: TuneSpec) -> np.ndarray:
+    """Fewer stiffnesses at which margins are judged, the experiment's own among them [N/m]."""
+    return np.unique(np.concatenate([spec.experiment.stiffness, spec.judged_at[::COARSER]]))
+
+
+def _seen(level: Level, met: Sequence[Experiment]) -> tuple[Any, Any]:
+    """What a level knows of the scenarios: a scene, and on the frequency level their spectra."""
+    if level == "arm" or met[0].physics == "linear":
+        return scene_over(met), None
+    if level == "frequency":
+        spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, met))
+        return scene_over([msgspec.structs.replace(met[0], physics="linear")]), spectra
+    return side_by_side([_with_friction(one) for one in met]), None
+
+
+def _with_friction(experiment: Experiment) -> Scene:
+    """The linear world with what friction and model error do to the tip of an arm that follows the heart."""
+    scene: Any = scene_of(msgspec.structs.replace(experiment, physics="linear"))
+    acceleration = jnp.asarray(uncompensated_acceleration(experiment).T)
+    linear: Scene = scene._replace(signals=scene.signals._replace(acceleration=acceleration))
+    return linear

@@ -1,0 +1,84 @@
+"""What a tuning run reached, goal by goal, on scenarios that it has not seen."""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxmpc.metrics import Metrics
+from jaxmpc.precision import in_float64
+from tuning.goals import MARGINS, OVERSHOOT, UNITS, measured
+from tuning.loops import curves
+from tuning.result import TuneResult
+
+
+class Row(NamedTuple):
+    """One goal; index 0 is before, 1 after."""
+
+    name: str
+    hard: bool
+    limit: float
+    reached: tuple[float, float]
+    """Worst over tissues, and of the runs over held-out scenarios; NaN where unstable."""
+    at: float | None
+    """Where the tuned controller stands worst [N/m]."""
+
+    @property
+    def ceiling(self) -> bool:
+        """Whether the limit is one from above."""
+        return self.name == "M_s" or self.name not in MARGINS
+
+    @property
+    def kind(self) -> str:
+        """Hard or soft."""
+        return "hard" if self.hard else "soft"
+
+    @property
+    def met(self) -> bool:
+        """Whether the tuned controller holds it."""
+        after = self.reached[1]
+        return after <= self.limit if self.ceiling else after >= self.limit
+
+    @property
+    def text(self) -> str:
+        """Name, limit and unit."""
+        return f"{self.name} {'≤' if self.ceiling else '≥'} {self.limit:g} {UNITS[self.name]}".strip()
+
+
+def kept(result: TuneResult) -> np.ndarray:
+    """Held-out scenarios that count, (scenarios,): those that the controller before held; if it held none, all."""
+    held: np.ndarray = result.held[0]
+    return held if held.any() else np.ones_like(held)
+
+
+@in_float64
+def rows(result: TuneResult) -> list[Row]:
+    """All goals, the hard ones first."""
+    spec = result.spec
+    found = []
+    judged = result.margins["ideal" if spec.ideal else "as run"]
+    for name, limit in spec.margin_goals.items():
+        # A margin of an unstable loop is no number, its M_s ∞.
+        values = getattr(judged, name)
+        worst = np.max(values, axis=1) if name == "M_s" else np.min(values, axis=1)
+        place = np.argmax(values[1]) if name == "M_s" else np.argmin(values[1])
+        found.append(Row(name, True, limit, (float(worst[0]), float(worst[1])), float(spec.judged_at[place])))
+    limits = [(name, limit, True) for name, limit in spec.hard_goals.items()]
+    limits += [(name, limit, False) for name, limit in spec.soft.items()]
+    overshoot: Any = (np.nan, np.nan)
+    if any(name == OVERSHOOT for name, _, _ in limits):
+        overshoot = [curves(params, spec.experiment, spec.ideal).overshoot for params in (spec.before, result.params)]
+    before, after = (_cells(result, which) for which in (0, 1))
+    for name, limit, hard in limits:
+        pair = [measured(cells, before, overshoot[i], {name: 1.0})[name] for i, cells in enumerate((before, after))]
+        per_tissue = np.max(np.asarray(pair[1]), axis=(1, 2))
+        worst = tuple(float(np.max(np.asarray(values))) for values in pair)
+        K_s = spec.experiment.stiffness[int(np.argmax(per_tissue))]
+        found.append(Row(name, hard, limit, (worst[0], worst[1]), K_s))
+    return found
+
+
+def _cells(result: TuneResult, which: int) -> Metrics:
+    """Of one controller in the scenarios that count, each field (stiffness, scenarios, 3)."""
+    cells: Metrics = jax.tree.map(lambda field: np.swapaxes(field[which][kept(result)], 0, 1), result.heldout)
+    return cells

@@ -1,0 +1,95 @@
+"""How much the tuned controller depends on each of its parameters, tissue by tissue."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxmpc.precision import in_float64
+from tuning.gradients import SCORE, Slope, on_tissue, slopes
+from tuning.result import TuneResult
+from tuning.settings import Level
+from tuning.transforms import HORIZONS, Space
+
+
+class Sensitivities(NamedTuple):
+    """Of the tuned controller, on each tissue as if there were no other."""
+
+    level: Level
+    """Where they are taken: the last one."""
+    metrics: tuple[str, ...]
+    """The score, and the margins that are hard goals."""
+    parameters: tuple[str, ...]
+    """The free ones; a diagonal counts as a whole."""
+    values: Float[np.ndarray, "metrics stiffness"]
+    """Score and normalised goals [-]; NaN where unstable."""
+    slopes: Float[np.ndarray, "metrics parameters stiffness"]
+    """d log metric / d log parameter [-]; of a horizon, the quotient of differences over a sample to either side."""
+
+
+@in_float64
+def sensitivities(result: TuneResult) -> Sensitivities:
+    """Exact gradients by the last level's own program; see `tuning.gradients`."""
+    step, space = result.steps[-1], result.spec.space
+    z = vector_of(result)
+    beside, apart = _beside(space, z)
+    metrics = (SCORE, *result.spec.margin_goals)
+    tissues = range(len(result.spec.experiment.stiffness))
+    found = [slopes(on_tissue(step.problem, i), z, len(step.state.z), beside) for i in tissues]
+    values = np.array([[tissue[name].value for tissue in found] for name in metrics])
+    per_unit = log_slopes(space, z)
+    rows = [[_per_parameter(space, tissue[name], per_unit, apart) for tissue in found] for name in metrics]
+    names = tuple(axis.name for axis in space.axes)
+    return Sensitivities(step.level, metrics, names, values, np.moveaxis(np.array(rows), 1, 2))
+
+
+def vector_of(result: TuneResult) -> Float[np.ndarray, " size"]:
+    """The vector that the tuned controller stands for, among those that the last descent has kept."""
+    state, space = result.state, result.spec.space
+    kept = np.concatenate([state.best_z[np.isfinite(state.best)], state.closest_z])
+    wanted = [np.broadcast_to(getattr(result.params, axis.name), axis.size) for axis in space.axes]
+    distance = np.abs(np.log(space.values(kept) / np.concatenate(wanted)))
+    # Rounding has moved the horizons: they decide only where nothing else does.
+    distance[:, [name in HORIZONS for name in space.names]] *= 1e-6
+    nearest: np.ndarray = kept[int(np.argmin(distance.max(axis=1)))]
+    return nearest
+
+
+def log_slopes(space: Space, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+    """d log parameter / dz of each unconstrained number; 0 at a bound."""
+    at = jnp.asarray(z)
+    values, slopes = jax.jvp(lambda vector: space.decode(vector, 2.0), (at,), (jnp.ones_like(at),))
+    relative = [np.broadcast_to(getattr(slopes, a.name) / getattr(values, a.name), a.size) for a in space.axes]
+    return np.concatenate(relative)
+
+
+def _beside(space: Space, z: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
+    """Vectors with each free horizon a sample shorter and longer, in pairs, and how far apart its logarithms are."""
+    params = space.exact(z)
+    whole = {name: float(getattr(params, name)) for name in HORIZONS}
+    ends = np.cumsum([axis.size for axis in space.axes])
+    rows, apart = [], {}
+    for axis, end in zip(space.axes, ends, strict=True):
+        if axis.name not in HORIZONS:
+            continue
+        low, high = (whole["Hu"], axis.high) if axis.name == "Hp" else (axis.low, min(axis.high, whole["Hp"]))
+        pair = max(whole[axis.name] - 1.0, axis.low, low), min(whole[axis.name] + 1.0, high)
+        for value in pair:
+            rows.append(z.copy())
+            rows[-1][end - 1] = float(axis.unconstrained(value))
+        apart[axis.name] = np.log(pair[1] / pair[0])
+    return np.array(rows).reshape(len(rows), len(z)), apart
+
+
+def _per_parameter(space: Space, slope: Slope, per_unit: np.ndarray, apart: Mapping[str, float]) -> np.ndarray:
+    """d log metric / d log parameter, (parameters,)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # A parameter at its bound has no slope to divide by; it cannot move either.
+        relative = np.nan_to_num(slope.gradient / per_unit, posinf=0.0, neginf=0.0)
+        quotients = np.log(slope.beside[1::2] / slope.beside[::2]) / np.array(list(apart.values()))
+    summed = np.add.reduceat(relative, np.cumsum([0, *(axis.size for axis in space.axes[:-1])]))
+    summed[[axis.name in HORIZONS for axis in space.axes]] = np.nan_to_num(quotients)
+    return summed if np.isfinite(slope.value) else np.full_like(summed, np.nan)

@@ -1,0 +1,74 @@
+"""What the residual is made of: what motion, friction and noise alone would leave, from the frequency response."""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxmpc import design
+from jaxmpc.engine.once import JitOnce
+from jaxmpc.law.cascade import Gains
+from jaxmpc.precision import in_float64
+from jaxmpc.scene import world_of
+from jaxmpc.stability.loop import contact_of
+from jaxmpc.stability.residual import Parts, residual_parts, residual_rms
+from jaxmpc.stability.spectrum import Spectrum, spectrum_of
+from jaxmpc.world.contact import hertz
+from tuning.problem import training
+from tuning.result import TuneResult
+
+MOST = 8
+"""Scenarios of training that it is averaged over, at most."""
+CAUSES = ("motion", "friction", "noise")
+
+
+class Split(NamedTuple):
+    """Before and after, root mean square over the scenarios of training [N]."""
+
+    whole: Float[np.ndarray, "2 stiffness 3"]
+    """All together. Friction follows the velocity of the heart, so the squares of the parts do not add up to it."""
+    motion: Float[np.ndarray, "2 stiffness 3"]
+    friction: Float[np.ndarray, "2 stiffness 3"]
+    """And model error; zero in the linear world, which has neither."""
+    noise: Float[np.ndarray, "2 stiffness 3"]
+
+
+@in_float64
+def split(result: TuneResult) -> Split:
+    """The residual by its causes; NaN on a tissue where the loop is unstable."""
+    spec = result.spec
+    experiment = spec.experiment
+    world, stiffness = world_of(experiment), np.asarray(experiment.stiffness)
+    filters = experiment.delay, experiment.velocity_lowpass, hertz(experiment.sensor.lowpass_hz)
+    met = training(spec, spec.tune.train_seeds[:MOST])
+    found = []
+    for params, seen in ((spec.before, spec.met_before(met)), (result.params, met)):
+        spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, seen))
+        gains = design(params, experiment.timing)
+        whole, parts = _parts(
+            gains, params.K2, stiffness, spectra, experiment.sampling_time, filters, ideal=world.ideal
+        )
+        found.append([np.sqrt(np.mean(np.square(field), axis=1)) for field in (whole, *parts)])
+    radius = result.margins["ideal" if world.ideal else "as run"].spectral_radius
+    own = np.searchsorted(spec.judged_at, stiffness)
+    stable = (radius[:, own] < 1.0)[..., None]
+    return Split(*(np.where(stable, np.stack(pair), np.nan) for pair in zip(*found, strict=True)))
+
+
+def _parts_of(
+    gains: Gains, K2: Any, stiffness: Any, spectra: Spectrum, T_s: Any, filters: tuple[Any, Any, Any], ideal: bool
+) -> tuple[Any, Parts]:
+    """Residual and its parts, (stiffness, scenarios, 3); traceable."""
+    delay, velocity_cutoff, sensor_cutoff = filters
+
+    def one(K_s: Any, spectrum: Spectrum) -> tuple[Any, Parts]:
+        contact = contact_of(K_s, K2, T_s, delay, ideal, velocity_cutoff, sensor_cutoff)
+        return residual_rms(gains, contact, spectrum), residual_parts(gains, contact, spectrum)
+
+    over_scenarios = jax.vmap(one, (None, 0))
+    found: tuple[Any, Parts] = jax.vmap(over_scenarios, (0, None))(stiffness, spectra)
+    return found
+
+
+_parts = JitOnce(_parts_of, static_argnames=("ideal",))

@@ -1,0 +1,252 @@
+"""Random trials of finished controllers on the arm: who becomes unstable, where nobody has tuned?
+
+A trial is an `Experiment` of its own, drawn from its seed and number alone, so that any one can be run again by itself;
+every controller meets the same. A heart's motion costs more than running a controller on it, so `COPIES` trials, each
+on a robot and a tissue of its own, share one (and its sensor noise). They are not independent then: of failures it also
+matters on how many motions they occurred.
+
+A trial counts as unstable if its status is any but OK, or |e| ≥ 2 N after the first 2 s, ramps included.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+import jax
+import msgspec
+import numpy as np
+
+from jaxmpc.arm_settings import robot_of
+from jaxmpc.engine.arm_rollout import ArmSignals
+from jaxmpc.errors import InputError
+from jaxmpc.experiment import Experiment
+from jaxmpc.params import Params
+from jaxmpc.precision import in_float64
+from jaxmpc.progress import progress
+from jaxmpc.scene import scene_of, world_of
+from jaxmpc.sealed import SealError, digest, seal, unseal, write_atomic
+from jaxmpc.status import Status
+from jaxmpc.world.contact import hertz
+from jaxmpc.world.robot import Robot
+from tuning.scenarios import Rhythm, Scenarios, scenario
+from tuning.trial_program import block_program
+
+DURATION, SETTLE = 8.0, 2.0
+"""Of a trial, and what is not judged of it [s]: ten beats, three breaths, and whatever event the rhythm has."""
+LARGEST_ERROR = 2.0
+"""|e| from which on a trial counts as unstable [N]."""
+POOL, COPIES = 48, 15
+"""Motions of a block, and trials on each: 10 000 trials fill 14 blocks."""
+BLOCK = POOL * COPIES
+"""Trials of a block: computed together, kept in one file."""
+FIRST_SEED = 10_000_000
+"""Distance between the scenarios of two seeds, and from all that a tuner sees."""
+MOST = FIRST_SEED - 1
+"""Largest number of trials."""
+STREAM = 8
+"""Of the random numbers of a trial, apart from those of its scenario."""
+
+
+class Spread(NamedTuple):
+    """From what trials are drawn."""
+
+    stiffness: tuple[float, float]
+    """Lowest and highest, log-uniform [N/m]."""
+    scenarios: Scenarios
+    cable_damping: tuple[float, float] | None = None
+    """Lowest and highest damping ratio of the cable mode [-]; None is the experiment's."""
+
+
+NOMINAL = Spread((375.0, 1900.0), Scenarios(rhythms=get_args(Rhythm), friction=0.5, mass=0.15, delays=(1,)))
+HARD = Spread(
+    (300.0, 2000.0),
+    Scenarios(rhythms=get_args(Rhythm), friction=0.5, mass=0.15, delays=(1, 2), cable_hz=(15.0, 60.0)),
+    (0.03, 0.1),
+)
+
+
+@dataclass(frozen=True)
+class Job:
+    """Which controllers meet which trials.
+
+    Attributes:
+        controllers: One or several, of any structure.
+        base: An experiment on the arm; its duration, settling time and stiffness are the trials' own.
+        spread: How far reality may lie from it.
+        seed: Draws other trials.
+
+    Raises:
+        InputError: The experiment is not on the arm ("wam"), or the seed is out of bounds.
+    """
+
+    controllers: tuple[Params, ...]
+    base: Experiment
+    spread: Spread = NOMINAL
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.base.physics != "wam":
+            raise InputError("physics", self.base.physics, '"wam" for trials', "Take table-1-wam, or set it so.")
+        if not 0 <= self.seed < 10**9:
+            raise InputError("seed", self.seed, "in [0, 1e9)", "Any other number draws other trials.")
+        short = msgspec.structs.replace(self.base, duration=DURATION, settle=SETTLE)
+        object.__setattr__(self, "base", short)
+
+    @property
+    def digest(self) -> str:
+        """sha256 of all that the outcome of a trial depends on."""
+        controllers = [params.to_dict() for params in self.controllers]
+        spread = msgspec.to_builtins(self.spread)
+        return digest([controllers, self.base.to_dict(), spread, self.seed, POOL, COPIES])
+
+    def trial(self, number: int) -> Experiment:
+        """The experiment of a trial."""
+        first = FIRST_SEED * (1 + self.seed)
+        seed, drawn = first + number, scenario(self.base, self.spread.scenarios, first + number)
+        shared = _scenario(self.base, self.spread.scenarios, first + motion_of(number))
+        random = np.random.Generator(np.random.Philox([seed, STREAM]))
+        stiffness, damping = random.uniform(size=2)
+        low, high = np.log(self.spread.stiffness)
+        arm = drawn.arm
+        if self.spread.cable_damping:
+            least, most = self.spread.cable_damping
+            arm = msgspec.structs.replace(arm, cable_damping=float(least + (most - least) * damping))
+        own = {"stiffness": (float(np.exp(low + (high - low) * stiffness)),), "arm": arm}
+        return msgspec.structs.replace(drawn, motion=shared.motion, sensor=shared.sensor, **own)
+
+
+_scenario = lru_cache(maxsize=POOL)(scenario)
+
+
+def motion_of(number: int) -> int:
+    """The trial whose motion this one shares: the first of its block that has it."""
+    return number - number % BLOCK + number % POOL
+
+
+class Outcomes(NamedTuple):
+    """What happened; leading dimensions are trials and controllers."""
+
+    status: np.ndarray
+    """A `Status`: UNSTABLE where the linear loop of that tissue and delay is, whatever the arm's friction held."""
+    when: np.ndarray
+    """When the run diverged or the tip left the tissue; NaN where neither [s]."""
+    spectral_radius: np.ndarray
+    """Of the linear loop [-]."""
+    rms: np.ndarray
+    """Of the residual after 2 s, (trials, controllers, 3) [N]; NaN where the run diverged."""
+    peak_error: np.ndarray
+    """Largest |e| after 2 s, the same [N]."""
+
+    @property
+    def unstable(self) -> np.ndarray:
+        """Whether each trial counts as unstable, (trials, controllers)."""
+        within: np.ndarray = np.all(self.peak_error < LARGEST_ERROR, axis=-1)
+        unstable: np.ndarray = (self.status != Status.OK) | ~within
+        return unstable
+
+
+def run(job: Job, count: int, folder: Path | None = None, show: bool = False) -> Outcomes:
+    """Run trials 0 … count − 1; no bit of one depends on how many there are or where a run was interrupted.
+
+    Args:
+        job: Who meets what.
+        count: Number of trials.
+        folder: Where finished blocks are kept and found again; None keeps none.
+        show: Whether to show progress.
+
+    Raises:
+        InputError: The count is out of bounds, or the folder holds blocks of another job.
+    """
+    if not 1 <= count <= MOST:
+        raise InputError("trials", count, f"in [1, {MOST}]", "10000 is usual.")
+    blocks: list[Outcomes] = []
+    bad = np.zeros(len(job.controllers), int)
+    compute = _computer(job)
+    with progress("trials", count, "trials", show) as tick:
+        for first in range(0, count, BLOCK):
+            found = _kept(job, folder, first, partial(compute, first))
+            blocks.append(Outcomes(*(field[: count - first] for field in found)))
+            bad += blocks[-1].unstable.sum(axis=0)
+            tick(min(first + BLOCK, count), "unstable " + " / ".join(map(str, bad)))
+    return Outcomes(*map(np.concatenate, zip(*blocks, strict=True)))
+
+
+def _kept(job: Job, folder: Path | None, first: int, compute: Callable[[], Outcomes]) -> Outcomes:
+    """A block from its file, or computed and kept; a damaged file is computed again."""
+    if folder is None:
+        return compute()
+    path = folder / f"{first:07d}.npz"
+    header = {"kind": "jaxmpc trials", "job": job.digest, "first": first}
+    if path.exists():
+        try:
+            said, arrays = unseal(path.read_bytes())
+        except SealError:
+            said, arrays = header, {}
+        if said != header:
+            raise InputError("output folder", folder, "one of these very trials", "Choose another with -o.")
+        if arrays:
+            return Outcomes(**arrays)
+    found = compute()
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, seal(header, found._asdict()))
+    return found
+
+
+def _computer(job: Job) -> Callable[[int], Outcomes]:
+    """A function of a block's first trial; nothing is computed before it is called."""
+
+    @cache
+    def of_all_blocks() -> tuple[Any, tuple[int, ...], Any]:
+        robots = [_robot(trial) for trial in map(job.trial, range(POOL))]
+        structure = jax.tree.structure(robots[0])
+        leaves = [jax.tree.leaves(robot) for robot in robots]
+        # What differs in these differs everywhere: which it is must not depend on how many trials there are.
+        varied = tuple(k for k, values in enumerate(zip(*leaves, strict=True)) if len(set(values)) > 1)
+        return leaves[0], varied, structure
+
+    @in_float64
+    def compute(first: int) -> Outcomes:
+        constant, varied, structure = of_all_blocks()
+        trials = [job.trial(first + i) for i in range(BLOCK)]
+        met = [_judged_from_the_start(scene_of(trial).signals, job.base) for trial in trials[:POOL]]
+        signals = jax.tree.map(lambda *parts: np.concatenate(parts), *met)
+        robots = [jax.tree.leaves(_robot(trial)) for trial in trials]
+        rows = np.array([[leaves[k] for k in varied] for leaves in robots], np.float64)
+        # Trial first + POOL·copy + motion: motions lead, and are dealt to the devices.
+        own = tuple(rows.reshape(COPIES, POOL, len(varied)).transpose(2, 1, 0))
+        base = trials[0]
+        found: dict[int, list[np.ndarray]] = {}
+        filters = base.velocity_lowpass, hertz(base.sensor.lowpass_hz)
+        for members in _by_structure(job.controllers):
+            program = block_program(world_of(base).kind, base.reference.preview, varied, structure)
+            batch = Params.stack([job.controllers[i] for i in members])
+            shared = batch, constant, base.sampling_time, filters
+            outcomes = program((signals, own), shared)
+            found |= {i: [field[:, :, c] for field in outcomes] for c, i in enumerate(members)}
+        ordered = [np.stack(fields, 2) for fields in zip(*(found[i] for i in sorted(found)), strict=True)]
+        flat = [field.swapaxes(0, 1).reshape(BLOCK, *field.shape[2:]) for field in ordered]
+        return Outcomes(flat[0].astype(np.int8), *flat[1:])
+
+    return compute
+
+
+def _robot(trial: Experiment) -> Robot:
+    robot = robot_of(trial)
+    return robot._replace(tissue=robot.tissue._replace(stiffness=trial.stiffness[0]))
+
+
+def _judged_from_the_start(signals: Any, base: Experiment) -> ArmSignals:
+    """Ramps included."""
+    late = np.asarray(signals.time) >= base.settle
+    judged: ArmSignals = signals._replace(score=np.broadcast_to(late[..., None] * 1.0, signals.score.shape))
+    return judged
+
+
+def _by_structure(controllers: Sequence[Params]) -> list[list[int]]:
+    """Which controllers share a program."""
+    kinds: dict[str, list[int]] = {}
+    for i, params in enumerate(controllers):
+        kinds.setdefault(repr(params.structure), []).append(i)
+    return list(kinds.values())
