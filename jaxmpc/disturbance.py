@@ -6,9 +6,6 @@ The paper's Fig. 3a and Fig. 4. All of it comes from what the robot measures, ti
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.ndimage
-import scipy.optimize
-import scipy.signal
 
 from jaxmpc.errors import InputError
 
@@ -25,6 +22,8 @@ _NEIGHBOURHOOD = 20
 """Bins to either side whose median is the floor that a peak stands on: 1 Hz in the paper's record."""
 _WANDER = 0.75
 """How far the true frequency may be from the bin of its maximum [bins]; two peaks never meet."""
+_ITERATIONS = 50
+"""Of the fit at most; a few are enough, since it begins within a bin."""
 
 
 class Spectrum(NamedTuple):
@@ -86,7 +85,13 @@ def power_spectral_density(signal: Any, T_s: float) -> Spectrum:
         InputError: Not two-dimensional, or a sample is not finite.
     """
     record = _signal("signal", signal)
-    return Spectrum(*scipy.signal.periodogram(record, 1.0 / T_s, window="hann", detrend="constant"))
+    steps = record.shape[1]
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(steps) / steps)
+    lines = np.fft.rfft(window * (record - record.mean(axis=1, keepdims=True)))
+    density = np.abs(lines) ** 2 * T_s / np.sum(window**2)
+    # One-sided: what lies at negative frequencies counts too; 0 and the Nyquist frequency have no such twin.
+    density[:, 1 : -1 if steps % 2 == 0 else None] *= 2.0
+    return Spectrum(np.fft.rfftfreq(steps, T_s), density)
 
 
 def peaks(signal: Any, T_s: float, stiffness: float) -> Peaks:
@@ -115,39 +120,60 @@ def peaks(signal: Any, T_s: float, stiffness: float) -> Peaks:
     together = max(1, round(0.01 / T_s))
     whole = len(t) // together * together
     t = t[:whole].reshape(-1, together).mean(axis=1)
-    record = record[:, :whole].reshape(len(record), -1, together).mean(axis=2)
-
-    def fit(frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        angle = 2.0 * np.pi * np.outer(t, frequency)
-        waves = np.concatenate([np.cos(angle), np.sin(angle), np.ones((len(t), 1))], axis=1)
-        # The waves are nearly orthogonal, so normal equations lose nothing.
-        weights = np.linalg.solve(waves.T @ waves, waves.T @ record.T)
-        return weights, record.T - waves @ weights
-
-    bounds = (near - _WANDER * bin_width, near + _WANDER * bin_width)
-    scale = float(np.sqrt(np.mean(record**2)))
-    found = scipy.optimize.least_squares(
-        lambda frequency: (fit(frequency)[1] / scale).ravel(), near, bounds=bounds, x_scale=bin_width, xtol=1e-6
-    ).x
-    weights, _ = fit(found)
+    means = record[:, :whole].reshape(len(record), -1, together).mean(axis=2)
+    found, weights = _fitted(near, t, means.T, _WANDER * bin_width)
     count = len(found)
     # A mean lowers a wave a little, by sin(π f T) / π f T.
     force = np.hypot(weights[:count], weights[count : 2 * count]).T / np.sinc(found * together * T_s)
     return Peaks(found, force, 1e3 * force / stiffness)
 
 
+def _fitted(near: np.ndarray, t: np.ndarray, record: np.ndarray, wander: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies near given ones, and weights (cos, sin, 1), that leave least of a record (samples, axes).
+
+    Gauss-Newton in the frequencies alone, the weights being those of each frequency (Kaufman, BIT 15, 1975).
+    """
+    frequency, count = near, len(near)
+    for _ in range(_ITERATIONS):
+        angle = 2.0 * np.pi * np.outer(t, frequency)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        waves = np.concatenate([cosine, sine, np.ones((len(t), 1))], axis=1)
+        # The waves are nearly orthogonal, so normal equations lose nothing.
+        inverse = np.linalg.inv(waves.T @ waves)
+        weights = inverse @ (waves.T @ record)
+        left = record - waves @ weights
+        # What a frequency changes, per axis, but for what the weights would take back.
+        per_phase = cosine[:, :, None] * weights[count : 2 * count] - sine[:, :, None] * weights[:count]
+        turned = 2.0 * np.pi * t[:, None, None] * per_phase
+        slopes = turned - np.tensordot(waves, np.tensordot(inverse @ waves.T, turned, 1), 1)
+        step = np.linalg.lstsq(slopes.transpose(0, 2, 1).reshape(-1, count), left.ravel())[0]
+        following = np.clip(frequency + step, near - wander, near + wander)
+        moved, frequency = np.abs(following - frequency).max(), following
+        if moved < 1e-6 * wander:
+            break
+    return frequency, weights
+
+
 def _maxima(spectrum: Spectrum) -> np.ndarray:
     """Frequencies of the bins where a line stands out [Hz]."""
     power = spectrum.density.sum(axis=0)
     level = 10.0 * np.log10(np.maximum(power, np.finfo(float).tiny))
-    floor = scipy.ndimage.median_filter(level, 2 * _NEIGHBOURHOOD + 1, mode="reflect")
+    around = np.pad(level, _NEIGHBOURHOOD, mode="symmetric")
+    floor = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _NEIGHBOURHOOD + 1), axis=1)
     # A single record's noise has bins of almost no power: measured from those, every maximum would be prominent.
     level = np.maximum(level, floor)
-    bins, _ = scipy.signal.find_peaks(level, prominence=PROMINENCE_DB)
-    frequency: np.ndarray = spectrum.frequency[bins]
-    inside = (frequency > LOWEST_PEAK - 1e-9) & (frequency < HIGHEST_PEAK)
-    lines: np.ndarray = frequency[inside & (level[bins] > level.max() - RANGE_DB)]
+    inside = (spectrum.frequency > LOWEST_PEAK - 1e-9) & (spectrum.frequency < HIGHEST_PEAK)
+    highest = np.concatenate([[False], (level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]), [False]])
+    (bins,) = np.nonzero(inside & highest & (level > level.max() - RANGE_DB))
+    lines: np.ndarray = spectrum.frequency[[i for i in bins if _prominence(level, int(i)) >= PROMINENCE_DB]]
     return lines
+
+
+def _prominence(level: np.ndarray, i: int) -> float:
+    """How far down one must go from a maximum, on the better side, before it goes up higher."""
+    sides = level[i::-1], level[i:]
+    lowest = [side[: np.argmax(side > level[i]) or None].min() for side in sides]
+    return float(level[i] - max(lowest))
 
 
 def _signal(key: str, value: Any) -> np.ndarray:

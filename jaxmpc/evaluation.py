@@ -97,6 +97,12 @@ def outcome_of(found: Margins, run: Ran) -> Outcome:
     return Outcome(held, found, status, jnp.where(jnp.isinf(when), jnp.nan, when), run.trace)
 
 
+def shaped_outcome(found: Margins, run: Ran, batch: tuple[int, ...]) -> Outcome:
+    """`outcome_of` with the batch's shape instead of one leading dimension; traceable."""
+    outcome: Outcome = jax.tree.map(lambda leaf: jnp.reshape(leaf, (*batch, *leaf.shape[1:])), outcome_of(found, run))
+    return outcome
+
+
 def evaluate_block(params: Params, scene: Scene, *, world: World, dtype: Any, traced: bool = False) -> Outcome:
     """A flat batch of controllers on every stiffness and axis, in one go; traceable.
 
@@ -114,7 +120,7 @@ def evaluate_block(params: Params, scene: Scene, *, world: World, dtype: Any, tr
 
 _designed = JitOnce(designed, static_argnames=("ideal",))
 _judged = JitOnce(judged, static_argnames=("ideal",))
-_outcome_of = JitOnce(outcome_of)
+_outcome_of = JitOnce(shaped_outcome, static_argnames=("batch",))
 _ran = JitOnce(ran, static_argnames=("world", "dtype", "traced"))
 
 
@@ -150,7 +156,7 @@ def evaluate(
         if value not in get_args(kind):
             raise InputError(key, value, "a known one", nearest(str(value), list(get_args(kind))))
     batch = params.batch_shape
-    flat = jax.tree.map(lambda leaf: jnp.reshape(leaf, (-1, *jnp.shape(leaf)[len(batch) :])), params)
+    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), params)
     scene, world = scene_of(experiment), world_of(experiment)
     controllers = _designed(flat, scene, ideal=world.ideal)
 
@@ -163,11 +169,11 @@ def evaluate(
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(controllers)):
         found, run = judge(), _ran(controllers, flat.K2, scene, world=world, dtype=precision, traced=trace)
     else:
-        # Compiling is most of a first call, and the two programs compile side by side.
+        # Compiling is most of a first call, and the two programs compile side by side; the longer one begins.
+        _judged.trace(controllers, ideal=world.ideal)
         with ThreadPoolExecutor(1) as beside:
             pending = beside.submit(judge)
             run = _ran(controllers, flat.K2, scene, world=world, dtype=precision, traced=trace)
             found = pending.result()
-    outcome: Outcome = _outcome_of(found, run._replace(trace=None))._replace(trace=run.trace)
-    shaped: Outcome = jax.tree.map(lambda leaf: jnp.reshape(leaf, (*batch, *leaf.shape[1:])), outcome)
-    return shaped
+    outcome: Outcome = _outcome_of(found, run, batch=batch)
+    return outcome

@@ -40,13 +40,17 @@ def figure(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float
     from matplotlib.figure import Figure
 
     with mpl.rc_context(STYLE):
-        drawing = Figure(figsize=size)
-        FigureCanvasAgg(drawing)
+        drawing = Figure(figsize=size, dpi=STYLE["savefig.dpi"])
+        canvas: Any = FigureCanvasAgg(drawing)
         axes = drawing.subplots(rows, columns)
         yield axes
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Without the writer's version the same data gives the same bytes.
-        drawing.savefig(path, metadata={"Software": None} if path.suffix == ".png" else None)
+        if path.suffix == ".png":
+            # The picture of `savefig`, which draws it twice; without the writer's version the same data gives the
+            # same bytes.
+            canvas.print_png(path, metadata={"Software": None})
+        else:
+            drawing.savefig(path)
 
 
 def outline(t: np.ndarray, x: np.ndarray, points: int = 3000) -> tuple[np.ndarray, np.ndarray]:

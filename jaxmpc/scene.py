@@ -154,7 +154,7 @@ def _arm_signals(experiment: Experiment) -> ArmSignals:
     ahead = np.moveaxis(_ahead(experiment, wanted.T), 0, 1)
     signals = (moving, between, noise, ahead, score * 1.0, softening(tissue, t), (t >= experiment.settle) * 1.0, t)
     watched = signals[6] * (not tissue.attached)
-    return ArmSignals(*(jnp.asarray(signal)[None] for signal in (*signals[:6], watched, t)))
+    return ArmSignals(*(np.asarray(signal)[None] for signal in (*signals[:6], watched, t)))
 
 
 def _ahead(experiment: Experiment, wanted: np.ndarray) -> np.ndarray:

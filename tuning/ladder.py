@@ -19,9 +19,9 @@ SCREENED = 16
 """Random points looked at for each start of the first level."""
 COARSE = 8
 """Starts of a level that only proposes, for each start of the last one."""
-BETWEEN, LAST, ROUND = 0.2, 0.4, 0.2
-"""Shares of the steps that the levels after the first take, the last of several levels, and a worst-case round."""
-LATER_RATE = 0.3
+BETWEEN, LAST, ROUND = 0.1, 0.1, 0.1
+"""Shares of the steps that the levels between take, the last of several levels, and a worst-case round."""
+LATER_RATE = 0.03
 """Learning rate of all that begins at good points, relative to the first level's."""
 SAME = 0.05
 """Starts nearer to each other than this, per unconstrained number, count as one."""

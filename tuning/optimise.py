@@ -22,6 +22,8 @@ SOFTEST = 8.0
 """Width of the horizons' mask at the beginning [samples]."""
 ANNEALED = 0.5
 """Share of the steps taken with soft horizons; the rest polishes at whole ones."""
+POLISHING = 0.1
+"""Learning rate of polishing, relative to that of the soft horizons: it begins in a valley already."""
 FINAL_RATE = 0.03
 """Learning rate at the end of each phase, relative to its beginning."""
 WORTH = 1e-4
@@ -53,10 +55,11 @@ def schedule(steps: int, soft: bool, rate: float) -> Schedule:
     """
     annealed = round(ANNEALED * steps) if soft else 0
     widths, rates = [np.ones(1)], [np.zeros(1)]
-    for length, width in ((annealed, SOFTEST), (steps - annealed, 1.0)):
+    slower = POLISHING if annealed else 1.0
+    for length, width, highest in ((annealed, SOFTEST, rate), (steps - annealed, 1.0, slower * rate)):
         along = np.arange(length) / max(length, 1)
         widths.append(width ** (1.0 - along))
-        rates.append(rate * (FINAL_RATE + (1.0 - FINAL_RATE) * 0.5 * (1.0 + np.cos(np.pi * along))))
+        rates.append(highest * (FINAL_RATE + (1.0 - FINAL_RATE) * 0.5 * (1.0 + np.cos(np.pi * along))))
     return Schedule(np.concatenate(widths), np.concatenate(rates), 1 + annealed)
 
 

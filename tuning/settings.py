@@ -21,7 +21,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     for the linear world, all three for the arm."""
     steps: Count = 150
     """Gradient steps on the first level at most, half of them with soft horizons; later levels, which begin at good
-    points, take a fifth of them, the last one two fifths."""
+    points, take a tenth of them each."""
     orders: tuple[Annotated[int, msgspec.Meta(ge=1, le=3)], ...] = ()
     """Disturbance orders of the active observer to compare on the first level, the best of which goes on; none given:
     that of the parameters."""
@@ -46,7 +46,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How often the worst of `searched` scenarios is sought, added to training and tuned for, at most."""
     searched: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 64
     """Scenarios among which it is sought."""
-    learning_rate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.15
+    learning_rate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.4
     """Of Adam, in units of the parameters' scales."""
     precision: Literal["float64", "float32"] = "float64"
     """Of the time stepping. Float64 is also the faster one on a CPU: adjoints of float32 end in subnormals."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxmpc.disturbance import RECORD, Peaks, disturbance, peaks, power_spectral_density
 from jaxmpc.experiment import AXES, Experiment
-from jaxmpc.figures import ACCENT, BASELINE, TUNED, Room, figure, outline
+from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure, outline
 from jaxmpc.status import Status
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def experiment_figure(
     # Of one scale, so that the axes compare; what is not scored (a ramp, the first contact) may leave it.
     bound = 1.45 * max(float(np.abs(residual.T[scored]).max()), 1e-3)
 
-    with figure(path, rows=5, size=(8.0, 9.6), room=Room()) as axes:
+    with figure(path, rows=5, size=(8.0, 9.6)) as axes:
         top, applied, *panels = axes
         for axis, colour in enumerate(COLOURS):
             top.plot(*outline(t, felt[axis]), color=colour, lw=0.9, label=AXES[axis].upper())
@@ -115,7 +115,7 @@ def spectrum_figure(path: Path, experiment: Experiment, outcome: "Outcome", stil
     found, spectrum = peaks(felt, T_s, experiment.stiffness[row]), power_spectral_density(felt, T_s)
     shown = (spectrum.frequency > 0.0) & (spectrum.frequency <= SHOWN_HZ)
     highest = spectrum.density[:, shown].max()
-    with figure(path, size=(8.0, 4.2), room=Room()) as panel:
+    with figure(path, size=(8.0, 4.2)) as panel:
         for axis, colour in enumerate(COLOURS):
             density = spectrum.density[axis]
             panel.semilogy(spectrum.frequency[shown], density[shown], color=colour, lw=1.1, label=AXES[axis].upper())

@@ -29,8 +29,14 @@ def use_all_cores(cores: int | None = None) -> None:
 
 
 def _remember_programs(config: Any) -> None:
-    """Keep compiled programs for the next run, in the user's cache; JAX_COMPILATION_CACHE_DIR names another place."""
+    """Keep programs for the next run, compiled and traced, in the user's cache.
+
+    JAX_COMPILATION_CACHE_DIR names another place, JAX_ENABLE_COMPILATION_CACHE=0 keeps none.
+    """
+    from jaxmpc.engine import store
+
     if config.jax_compilation_cache_dir is None:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         config.update("jax_compilation_cache_dir", str(cache / "jaxmpc" / "programs"))
-    config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+    store.keep_in(Path(config.jax_compilation_cache_dir) / "traced" if config.jax_enable_compilation_cache else None)

@@ -4,7 +4,9 @@ import argparse
 import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,10 +54,10 @@ def run(args: argparse.Namespace) -> int:
         f"experiment {experiment.name}: {experiment.duration:g} s, physics {experiment.physics}, "
         f"damping {_damping(experiment)}, params {args.params}"
     )
-    outcome = simulated(params, experiment, traced=True)
+    outcome, still = with_heart_still(params, experiment)
     compared = {label: simulated(other, experiment) for label, other in others.items()}
     _tables(params.architecture, outcome, compared, experiment)
-    row = _figures(folder, params, experiment, outcome)
+    row = _figures(folder, experiment, outcome, still)
     if filmed and row is not None:
         film(filmed, experiment, outcome, row)
         print(f"film: {filmed}")
@@ -66,16 +68,36 @@ def run(args: argparse.Namespace) -> int:
 
 
 def simulated(params: "Params", experiment: "Experiment", traced: bool = False) -> "Outcome":
-    """`evaluate` that waits for the result, and says after a while that there is something to wait for."""
-    import jax
-
+    """`evaluate` that waits for the result, as numpy, and says after a while that there is something to wait for."""
     from jaxmpc import evaluate
 
-    with _said_after(PATIENCE, f"compiling and running {experiment.name}, {params.architecture} …"):
-        outcome = evaluate(params, experiment, trace=traced)
-        # JAX hands results over before they are there.
-        jax.tree.map(lambda leaf: leaf.block_until_ready(), outcome)
-    return outcome
+    with _said_after(PATIENCE, _compiling(params, experiment)):
+        return _on_host(evaluate(params, experiment, trace=traced))
+
+
+def with_heart_still(params: "Params", experiment: "Experiment") -> tuple["Outcome", "Outcome"]:
+    """What `simulated` finds, every sample kept, and the same without motion (itself where there is none)."""
+    from jaxmpc import evaluate
+
+    if experiment.motion.kind == "none":
+        outcome = simulated(params, experiment, traced=True)
+        return outcome, outcome
+    with _said_after(PATIENCE, _compiling(params, experiment)), ThreadPoolExecutor(1) as beside:
+        outcome = evaluate(params, experiment, trace=True)
+        # Now compiled, but still running; what another thread asks of JAX runs on another core meanwhile.
+        still = beside.submit(evaluate, params, without_motion(experiment), trace=True)
+        # It draws the result, and takes a while to load.
+        import_module("matplotlib.figure")
+        return _on_host(outcome), _on_host(still.result())
+
+
+def _on_host(outcome: "Outcome") -> "Outcome":
+    """The same as numpy: JAX hands results over before they are there, and compiles even taking an element."""
+    import jax
+    import numpy as np
+
+    found: Outcome = jax.tree.map(np.asarray, outcome)
+    return found
 
 
 def without_motion(experiment: "Experiment") -> "Experiment":
@@ -96,6 +118,10 @@ def _with_physics(experiment: "Experiment", physics: str | None) -> "Experiment"
     if physics in (None, experiment.physics):
         return experiment
     return replace(with_physics(experiment, physics), name=f"{experiment.name}-{physics}")
+
+
+def _compiling(params: "Params", experiment: "Experiment") -> str:
+    return f"compiling and running {experiment.name}, {params.architecture} …"
 
 
 def _damping(experiment: "Experiment") -> str:
@@ -122,13 +148,11 @@ def _tables(label: str, outcome: "Outcome", compared: dict[str, "Outcome"], expe
         show(f"RMS of {label} lower by", comparison.REDUCTION_HEADER, rows)
 
 
-def _figures(folder: Path, params: "Params", experiment: "Experiment", outcome: "Outcome") -> int | None:
+def _figures(folder: Path, experiment: "Experiment", outcome: "Outcome", still: "Outcome") -> int | None:
     """Draw what ended well nearest the middle stiffness; its row, or None where nothing did."""
     from jaxmpc.cli.pictures import experiment_figure, row_to_draw, spectrum_figure
     from jaxmpc.cli.tables import show
 
-    moves = experiment.motion.kind != "none"
-    still = simulated(params, without_motion(experiment), traced=True) if moves else outcome
     row = row_to_draw(outcome, still)
     if row is None:
         print("figures: none, because no run stayed finite at any stiffness")
@@ -136,7 +160,7 @@ def _figures(folder: Path, params: "Params", experiment: "Experiment", outcome: 
     path = folder / f"{experiment.name}.png"
     experiment_figure(path, experiment, outcome, still, row)
     print(f"figure: {path}")
-    if moves:
+    if still is not outcome:
         path = folder / f"{experiment.name}-spectrum.png"
         found = spectrum_figure(path, experiment, outcome, still, row)
         amplitudes = [

@@ -13,11 +13,14 @@ import pytest
 
 from deploy.artifact import load
 from deploy.runtime import replay
-from jaxmpc import Experiment, InputError, Params, evaluate
+from jaxmpc import Experiment, InputError, Params, evaluate, evaluation
 from jaxmpc.cli import VERBS, comparison, main
 from jaxmpc.cli.film import film
-from jaxmpc.cli.simulate import simulated, without_motion
+from jaxmpc.cli.setup import use_all_cores
+from jaxmpc.cli.simulate import simulated, with_heart_still, without_motion
+from jaxmpc.engine import store
 from jaxmpc.engine.arm_rollout import ArmSample
+from jaxmpc.engine.once import JitOnce
 from jaxmpc.spec import write_toml
 
 TUNED = {"K2": 100.0, "Khat_s": 970.0, "Q_p": 9.0, "T_cl": 2e-4}
@@ -124,7 +127,7 @@ def test_every_verb_has_help(capsys: pytest.CaptureFixture[str]) -> None:
 def experiment_file(folder: Path, **changes: Any) -> str:
     """A short linear Table I of one's own."""
     plain = Experiment.published("table-1").to_dict() | {"name": "short", "duration": 8.0} | changes
-    plain["arm"].pop("target")
+    plain["arm"] = {key: value for key, value in plain["arm"].items() if value is not None}
     write_toml(folder / "short.toml", plain)
     return str(folder / "short.toml")
 
@@ -216,6 +219,22 @@ def test_heart_still_is_served_by_the_program_of_heart_moving() -> None:
     """A length of its own, so that no other test has compiled it before."""
     base = Experiment.published("table-1").to_dict()
     assert_second_run_compiles_nothing(Experiment.from_dict(base | {"duration": 6.123}))
+
+
+def test_second_run_traces_nothing_and_finds_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second process is one whose programs have all been forgotten; the first kept them where the command does."""
+    use_all_cores()
+    experiment = Experiment.from_toml(experiment_file(tmp_path))
+    first = with_heart_still(Params(), experiment)
+    monkeypatch.setattr(store, "_traced", None)
+    programs = {name: value for name, value in vars(evaluation).items() if isinstance(value, JitOnce)}
+    for name, program in programs.items():
+        monkeypatch.setattr(evaluation, name, JitOnce(program._function, program._static))
+    second = with_heart_still(Params(), experiment)
+    jax.tree.map(np.testing.assert_array_equal, second, first)
+    assert len(programs) == 4
+    for name in programs:
+        assert [kept for kept in getattr(evaluation, name)._kept.values() if kept is None] == []
 
 
 @pytest.mark.slow

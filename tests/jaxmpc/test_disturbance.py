@@ -5,6 +5,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import scipy.ndimage
+import scipy.optimize
 import scipy.signal
 
 from jaxmpc import Experiment, InputError, Params, evaluate
@@ -58,6 +60,45 @@ def test_one_weak_line_in_noise_is_told_from_it() -> None:
     for seed in range(10):
         found = peaks(noise(seed) + 0.2 * np.cos(2.0 * np.pi * 3.21 * T), T_S, 810.0)
         np.testing.assert_allclose(found.frequency, [3.21], atol=0.02)
+
+
+@pytest.mark.parametrize("steps", [1000, 1001])
+def test_spectrum_is_scipys(steps: int) -> None:
+    signal = 3.0 + noise(1)[:, :steps]
+    frequency, density = scipy.signal.periodogram(signal, 1.0 / T_S, window="hann", detrend="constant")
+    spectrum = power_spectral_density(signal, T_S)
+    np.testing.assert_allclose(spectrum.frequency, frequency, rtol=1e-12)
+    np.testing.assert_allclose(spectrum.density, density, atol=1e-12 * density.max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_peaks_are_scipys(seed: int) -> None:
+    """Which lines there are, by scipy's peaks over scipy's median, and where, by its bounded least squares.
+
+    Both fit means of 10 ms, and end within a ten-thousandth of a bin.
+    """
+    random = np.random.default_rng(100 + seed)
+    frequencies, amplitudes = random.uniform(0.3, 9.5, 8), random.uniform(0.05, 1.0, (3, 8))
+    phases = random.uniform(0.0, 2.0 * np.pi, (3, 8))
+    lines = np.einsum("ak,akt->at", amplitudes, np.cos(2.0 * np.pi * frequencies[:, None] * T + phases[..., None]))
+    signal = lines + noise(seed, size=0.3)
+    frequency, density = scipy.signal.periodogram(signal, 1.0 / T_S, window="hann", detrend="constant")
+    level = 10.0 * np.log10(density.sum(axis=0))
+    level = np.maximum(level, scipy.ndimage.median_filter(level, 41, mode="reflect"))
+    bins, _ = scipy.signal.find_peaks(level, prominence=15.0)
+    near = frequency[[i for i in bins if 0.2 <= frequency[i] < 10.0 and level[i] > level.max() - 40.0]]
+
+    t, means = T.reshape(-1, 10).mean(axis=1), signal.reshape(3, -1, 10).mean(axis=2).T
+
+    def left_over(f: np.ndarray) -> np.ndarray:
+        angle = 2.0 * np.pi * np.outer(t, f)
+        waves = np.concatenate([np.cos(angle), np.sin(angle), np.ones((len(t), 1))], axis=1)
+        left: np.ndarray = means - waves @ np.linalg.solve(waves.T @ waves, waves.T @ means)
+        return left.ravel()
+
+    bounds = (near - 0.75 * BIN, near + 0.75 * BIN)
+    expected = scipy.optimize.least_squares(left_over, near, bounds=bounds, x_scale=BIN, xtol=1e-10).x
+    np.testing.assert_allclose(peaks(signal, T_S, 810.0).frequency, expected, atol=1e-4 * BIN)
 
 
 def test_spectrum_has_the_papers_bins_and_keeps_the_power() -> None:

@@ -1,0 +1,186 @@
+"""Traced programs on disk: the same bits without tracing again, and never those of something else."""
+
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+import pytest
+
+from jaxmpc import Experiment, Params, evaluation
+from jaxmpc.engine import store
+from jaxmpc.engine.once import JitOnce
+from jaxmpc.scene import scene_of, world_of
+
+TRACED: list[str] = []
+"""One entry for every time `wave` was traced."""
+
+
+class Wave(NamedTuple):
+    rising: Any
+    parts: tuple[Any, Any]
+    phase: Any
+
+
+def wave(t: Any, scale: Any, kind: str) -> Wave:
+    TRACED.append(kind)
+    function = {"sin": jnp.sin, "cos": jnp.cos}[kind]
+    found = scale["one"] * function(t)
+    return Wave(found > 0.0, (found, jnp.sum(found)), None)
+
+
+def waves(t: Any) -> dict[str, Any]:
+    return {"found": jnp.sin(t)}
+
+
+ARGUMENTS: tuple[Any, Any] = (np.linspace(0.0, 3.0, 50), {"one": 0.3, "not used": np.ones(2)})
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Where programs are kept meanwhile; the folder itself is made when it is needed."""
+    monkeypatch.setattr(store, "_folder", tmp_path / "traced")
+    TRACED.clear()
+    with jax.enable_x64(True):
+        yield tmp_path / "traced"
+
+
+def another_process(kind: str = "sin") -> Wave:
+    """What a process finds that has traced nothing yet."""
+    found: Wave = JitOnce(wave, static_argnames=("kind",))(*ARGUMENTS, kind=kind)
+    return found
+
+
+def assert_same(one: Any, other: Any) -> None:
+    # Of two structures, too: they must be one.
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_second_process_traces_nothing_and_finds_the_same_bits(folder: Path) -> None:
+    plain = jax.jit(wave, static_argnames=("kind",))(*ARGUMENTS, kind="sin")
+    TRACED.clear()
+    first, second = another_process(), another_process()
+    assert TRACED == ["sin"]
+    assert_same(first, plain)
+    assert_same(second, first)
+    assert isinstance(second, Wave)
+    assert second.phase is None
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_one_object_serves_several_programs(folder: Path) -> None:
+    both = JitOnce(wave, static_argnames=("kind",))
+    for _ in range(2):
+        np.testing.assert_array_equal(both(*ARGUMENTS, "sin").parts[0], 0.3 * np.sin(ARGUMENTS[0]))
+        np.testing.assert_allclose(both(*ARGUMENTS, kind="cos").parts[0], 0.3 * np.cos(ARGUMENTS[0]), rtol=1e-15)
+    assert TRACED == ["sin", "cos"]
+    assert len(list(folder.iterdir())) == 2
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: data[:200] + b"?" + data[201:], lambda _: b""])
+def test_damaged_file_is_traced_anew_and_mended(folder: Path, damage: Any) -> None:
+    first = another_process()
+    (path,) = folder.iterdir()
+    path.write_bytes(damage(path.read_bytes()))
+    assert_same(another_process(), first)
+    assert TRACED == ["sin", "sin"]
+    assert_same(another_process(), first)
+    assert TRACED == ["sin", "sin"]
+
+
+def test_name_tells_all_that_a_program_depends_on(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    t, scale = ARGUMENTS
+
+    def name(t: Any = t, scale: Any = scale, kind: str = "sin") -> str | None:
+        return store.name_of(wave, {"t": t, "scale": scale}, {"kind": kind})
+
+    names = [name(), name(t[:-1]), name(t.astype(np.float32)), name(scale={"two": 0.3}), name(kind="cos")]
+    names += [name(scale=scale | {"one": np.asarray(0.3)}), store.name_of(waves, {"t": t, "scale": scale}, {})]
+    with jax.enable_x64(False):
+        names.append(name())
+    monkeypatch.setattr(store, "_surroundings", lambda: ["another JAX"])
+    names.append(name())
+    assert None not in names
+    assert len(set(names)) == len(names)
+
+
+def test_source_that_changed_misses(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module of a package on which the traced one may call: any file of the package counts."""
+    package = tmp_path / "kept_somewhere"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "law.py").write_text("def law(t):\n    return (2.0 * t,)\n")
+    (package / "arm.xml").write_text("<arm/>")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    law = importlib.import_module("kept_somewhere.law").law
+
+    def name() -> str | None:
+        store._source.cache_clear()
+        return store.name_of(law, {"t": 1.0}, {})
+
+    try:
+        names = [name(), name()]
+        (package / "arm.xml").write_text("<arm />")
+        names.append(name())
+    finally:
+        store._source.cache_clear()
+        del sys.modules["kept_somewhere"], sys.modules["kept_somewhere.law"]
+    assert names[0] == names[1] != names[2]
+
+
+def test_nothing_is_kept_unless_an_entry_point_says_so(folder: Path) -> None:
+    store.keep_in(None)
+    another_process()
+    assert not folder.exists()
+
+
+def test_what_cannot_be_kept_is_compiled_as_ever(folder: Path) -> None:
+    """A result that is no tuple, a function that has closed over something, a disk that takes nothing."""
+    t, factor = ARGUMENTS[0], 3.0
+
+    def closed(t: Any) -> tuple[Any]:
+        return (factor * t,)
+
+    np.testing.assert_array_equal(JitOnce(waves)(t)["found"], np.sin(t))
+    np.testing.assert_array_equal(JitOnce(closed)(t)[0], 3.0 * t)
+    assert not folder.exists()
+    folder.write_text("a file where the folder should be")
+    assert_same(another_process(), another_process())
+
+
+def test_derivatives_pass_by_the_store(folder: Path) -> None:
+    jitted = JitOnce(wave, static_argnames=("kind",))
+    slope = jax.grad(lambda t: jitted(t, ARGUMENTS[1], kind="sin").parts[1])(ARGUMENTS[0])
+    np.testing.assert_allclose(slope, 0.3 * np.cos(ARGUMENTS[0]), rtol=1e-14)
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("name", ["table-1", "table-1-wam"])
+def test_all_of_an_evaluation_can_be_kept(folder: Path, name: str) -> None:
+    """Traced alone: what compiling makes of it, the tests of the command line see."""
+    experiment = msgspec.structs.replace(Experiment.published(name), duration=4.0, settle=3.0)
+    scene, world = scene_of(experiment), world_of(experiment)
+    params = jax.tree.map(lambda leaf: np.asarray(leaf)[None], Params())
+
+    def kept(function: Any, static: dict[str, Any], **arguments: Any) -> Any:
+        """The program's result, in shape alone."""
+        name = store.name_of(function, arguments, static)
+        assert name is not None
+        found = store.program(name, function, arguments, static)
+        assert found is not None
+        leaves = jax.eval_shape(found.call, *jax.tree.leaves(arguments))
+        return store.assembled(found.result, iter(np.zeros(leaf.shape, leaf.dtype) for leaf in leaves))
+
+    controllers = kept(evaluation.designed, {"ideal": world.ideal}, params=params, scene=scene)
+    static = {"world": world, "dtype": "float64", "traced": True}
+    run = kept(evaluation.ran, static, controllers=controllers, K2=params.K2, scene=scene)
+    found = kept(evaluation.judged, {"ideal": world.ideal}, controllers=controllers)
+    outcome = kept(evaluation.shaped_outcome, {"batch": ()}, found=found, run=run)
+    assert outcome.metrics.rms.shape == (3, 3)
+    assert outcome.trace.force.shape == (3, 3, experiment.steps)
+    assert len(list(folder.iterdir())) == 4
