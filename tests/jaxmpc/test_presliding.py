@@ -55,6 +55,7 @@ def joints_peak(params: Params, experiment: Experiment, K_s: float, delay: int) 
     return worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("params", "K_s"), [(Params(), 1900.0), (Params(), 375.0), (TUNED, 1900.0)])
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_three_modes_stand_for_the_arm(params: Params, K_s: float, factor: float) -> None:

@@ -265,6 +265,7 @@ def test_a_perfect_arm_is_what_the_controller_asks() -> None:
     np.testing.assert_allclose(uncompensated_acceleration(perfect), 0.0, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [

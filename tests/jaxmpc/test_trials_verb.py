@@ -33,6 +33,7 @@ def peaks(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     return largest
 
 
+@pytest.mark.slow
 def test_who_never_fails_ends_with_0(
     peaks: dict[str, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

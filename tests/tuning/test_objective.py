@@ -91,6 +91,7 @@ def test_full_diagonals_have_a_gradient_per_entry(small: Job) -> None:
     assert dead == {f"lam[{i}]" for i in range(6, 17)} | {f"delta[{i}]" for i in range(31, 65)}
 
 
+@pytest.mark.slow
 def test_an_unstable_start_is_led_to_stability(small: Job) -> None:
     spec = TuneSpec.from_dict(small(params={"Khat_s": 200.0}))
     see = problem(spec).look

@@ -146,6 +146,7 @@ def test_goals_are_those_of_the_scenarios_that_were_held(result: TuneResult) -> 
     assert not ratio.hard
 
 
+@pytest.mark.slow
 def test_files_are_whole_and_the_page_needs_nothing_else(
     result: TuneResult, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -185,6 +186,7 @@ def test_files_are_whole_and_the_page_needs_nothing_else(
     assert page.count("1001, 375 N/m") == 2
 
 
+@pytest.mark.slow
 def test_nothing_held_and_nothing_met(result: TuneResult, study: Study) -> None:
     lost = Metrics(*(np.where(np.arange(2)[:, None, None, None] == 0, np.nan, field) for field in result.heldout))
     worse = result.margins["as run"]._replace(

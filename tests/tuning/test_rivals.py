@@ -100,6 +100,7 @@ def brief() -> tuple[TuneSpec, Problem]:
     return spec, problem_of(spec, "linear", training(spec, spec.tune.train_seeds))
 
 
+@pytest.mark.slow
 def test_everybody_is_given_the_tuners_objective(brief: tuple[TuneSpec, Problem]) -> None:
     spec, problem = brief
     z = spec.space.draw(8, 3)

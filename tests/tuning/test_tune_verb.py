@@ -33,6 +33,7 @@ def verb(folder: Path, job: dict[str, Any]) -> int:
     return main(["tune", str(folder / "tune.toml"), "-o", str(folder / "out"), "--quiet"])
 
 
+@pytest.mark.slow
 def test_a_tuned_controller_comes_with_its_proof(
     small: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
