@@ -154,7 +154,9 @@ def _arm_signals(experiment: Experiment) -> ArmSignals:
     ahead = np.moveaxis(_ahead(experiment, wanted.T), 0, 1)
     signals = (moving, between, noise, ahead, score * 1.0, softening(tissue, t), (t >= experiment.settle) * 1.0, t)
     watched = signals[6] * (not tissue.attached)
-    return ArmSignals(*(np.asarray(signal)[None] for signal in (*signals[:6], watched, t)))
+    fields: Any = (*signals[:6], watched, t)
+    rows: list[Any] = [np.asarray(field)[None] for field in fields]
+    return ArmSignals(*rows)
 
 
 def _ahead(experiment: Experiment, wanted: np.ndarray) -> np.ndarray:

@@ -119,7 +119,7 @@ def _before_after(folder: Path, text: "Params", tuned: "TuneResult") -> tuple[fl
     before_after_figure(folder / "before-after.png", experiment, outcome)
     before, after = tuned.worst
     print(
-        f"linear loop, worst residual RMS over tissue, axis and {tuned.heldout.shape[1]} unseen motions: "
+        f"linear loop, worst residual RMS over tissue, axis and {tuned.heldout.rms.shape[1]} unseen motions: "
         f"{1e3 * before:.1f} → {1e3 * after:.1f} mN ({-100 * tuned.gain:+.0f} %)"
     )
     names = [Status(int(code)).name for code in np.max(outcome.status, axis=1)]
