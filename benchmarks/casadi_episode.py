@@ -61,8 +61,8 @@ def _step(world: World, scene: Scene, gains: Any, K2: float, stiffness: float) -
     chain, kind = arm.chain(), world.kind
     numbers = _floats(scene.robot)
     constants = numbers._replace(tissue=numbers.tissue._replace(stiffness=stiffness))
-    resting = constants.posture if kind.compensated else None
-    controller, body = force_control.init(0.0, 1, resting), robot.init(chain, kind, constants, 0.0, Ops)
+    body = robot.init(chain, kind, constants, 0.0, Ops)
+    controller = force_control.init(0.0, 1, body.drive.angle if kind.compensated else None)
     empty = (controller, body, (0.0,) * 6)
     leaves = _flat(empty)
     x = casadi.SX.sym("x", len(leaves))

@@ -104,7 +104,7 @@ def start(program: Program, cell: Cell) -> Carry:
     zero = 0.0 * cell.K2
     state = world.init(program.chain, program.kind, cell.robot, zero, ops)
     never = Trouble(zero + jnp.inf, zero + jnp.inf)
-    resting = tuple(zero + joint for joint in cell.robot.posture) if program.kind.compensated else None
+    resting = state.drive.angle if program.kind.compensated else None
     controller = force_control.init(zero, cascade.order(cell.gains), resting)
     return Carry(controller, state, (zero, zero, zero), never)
 
