@@ -121,13 +121,13 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def margin_goals(self) -> dict[str, float]:
-        """Hard goals on margins."""
-        return {name: limit for name, limit in self.goals.items() if name in MARGINS}
+        """Hard goals on margins, sorted as JAX sorts the keys of what it traces."""
+        return {name: self.goals[name] for name in sorted(self.goals) if name in MARGINS}
 
     @property
     def hard_goals(self) -> dict[str, float]:
-        """Hard goals on what the runs measure."""
-        return {name: limit for name, limit in self.goals.items() if name in MEASURED}
+        """Hard goals on what the runs measure, sorted likewise."""
+        return {name: self.goals[name] for name in sorted(self.goals) if name in MEASURED}
 
     @cached_property
     def digest(self) -> str:

@@ -68,7 +68,7 @@ def test_every_scenario_is_published() -> None:
 
 
 def test_nominal_arm_is_written_out_in_full() -> None:
-    """Every key stands in the file, but for those of the arm whose default is none: posture and true friction say it."""
+    """Every key stands in the file, but for those of the arm without a default: posture and true friction say it."""
     data = written("table-1-wam")
     none = {"target", "believed_coulomb", "believed_viscous", "believed_presliding"}
     for key, kind in (("sensor", Sensor), ("tissue", TissueSettings), ("arm", Arm)):

@@ -8,7 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmpc import margins
 from tuning import TuneSpec
+from tuning.goals import standing
 from tuning.objective import Values, look
 from tuning.optimise import optimiser
 from tuning.problem import Problem, problem_of, training
@@ -109,3 +111,14 @@ def test_an_unstable_start_is_led_to_stability(small: Job) -> None:
         values = see(np.asarray(z), 1.0)
     assert np.isfinite(values.M_s).all()
     assert np.isfinite(values.worst).all()
+
+
+@pytest.mark.slow
+def test_goals_keep_their_names_through_the_compiled_program(small: Job) -> None:
+    """In whatever order a job writes them: columns of the histories are labelled by `margin_goals`."""
+    goals = {"phase_margin_deg": 20.0, "M_s": 3.0, "gain_margin_db": 5.0, "delay_margin_s": 1e-3, "ideal": False}
+    spec = TuneSpec.from_dict(small(goals=goals, tune={"duration": 0.4, "settle": 0.1}, experiment=QUIET))
+    seen = problem(spec).look(np.tile(spec.space.encode(spec.params), (2, 1)), 1.0).hard[0]
+    found = margins(spec.params, spec.judged_at)
+    expected = np.asarray(standing(found, spec.margin_goals).normalised).max(axis=1)
+    np.testing.assert_allclose(seen, expected, rtol=0.02)
