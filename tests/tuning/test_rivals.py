@@ -19,6 +19,8 @@ from tuning import TuneSpec
 from tuning.objective import look
 from tuning.problem import Problem, problem_of, training
 
+pytestmark = pytest.mark.slow
+
 T_s = 1e-3
 CONTROLLER = pi.Pi(K_p=0.8, T_i=0.05, K2=40.0)
 
@@ -100,7 +102,6 @@ def brief() -> tuple[TuneSpec, Problem]:
     return spec, problem_of(spec, "linear", training(spec, spec.tune.train_seeds))
 
 
-@pytest.mark.slow
 def test_everybody_is_given_the_tuners_objective(brief: tuple[TuneSpec, Problem]) -> None:
     spec, problem = brief
     z = spec.space.draw(8, 3)
@@ -119,7 +120,6 @@ def test_everybody_is_given_the_tuners_objective(brief: tuple[TuneSpec, Problem]
     np.testing.assert_allclose(found.hard, hard.max(axis=1), rtol=1e-9)
 
 
-@pytest.mark.slow
 def test_pi_is_judged_in_the_same_world(brief: tuple[TuneSpec, Problem]) -> None:
     _, problem = brief
     evaluate = evaluator(problem, pi_control)
