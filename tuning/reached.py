@@ -72,9 +72,9 @@ def rows(result: TuneResult) -> list[Row]:
     for name, limit, hard in limits:
         pair = [measured(cells, before, overshoot[i], {name: 1.0})[name] for i, cells in enumerate((before, after))]
         per_tissue = np.max(np.asarray(pair[1]), axis=(1, 2))
-        worst = tuple(float(np.max(np.asarray(values))) for values in pair)
+        largest = [float(np.max(np.asarray(values))) for values in pair]
         K_s = spec.experiment.stiffness[int(np.argmax(per_tissue))]
-        found.append(Row(name, hard, limit, (worst[0], worst[1]), K_s))
+        found.append(Row(name, hard, limit, (largest[0], largest[1]), K_s))
     return found
 
 

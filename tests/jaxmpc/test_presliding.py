@@ -72,6 +72,7 @@ def test_springs_cost_the_text_design_margin() -> None:
     assert sticking > 1.05 * free
 
 
+@pytest.mark.slow
 def test_without_friction_it_is_the_margin_as_it_runs() -> None:
     free = presliding_frequencies(base(coulomb=(0.0, 0.0, 0.0, 0.0)))
     np.testing.assert_array_equal(free, 0.0)

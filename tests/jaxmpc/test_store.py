@@ -160,6 +160,7 @@ def test_derivatives_pass_by_the_store(folder: Path) -> None:
     assert not folder.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["table-1", "table-1-wam"])
 def test_all_of_an_evaluation_can_be_kept(folder: Path, name: str) -> None:
     """Traced alone: what compiling makes of it, the tests of the command line see."""

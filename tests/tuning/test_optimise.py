@@ -95,6 +95,7 @@ def test_a_killed_run_continues_to_the_same_bits(
     assert looks == whole.look - stop
 
 
+@pytest.mark.slow
 def test_a_state_of_another_spec_or_a_damaged_one_is_refused(small: Job, tmp_path: Path) -> None:
     spec = TuneSpec.from_dict(small(tune={"steps": 1}))
     descend(spec, tmp_path)
