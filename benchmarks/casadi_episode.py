@@ -132,10 +132,14 @@ def _take(z: Any, sizes: list[int], i: int) -> list[Any]:
 
 
 def _flat(tree: Any) -> list[Any]:
+    if tree is None:  # a controller that cancels no friction remembers none
+        return []
     return [leaf for part in tree for leaf in _flat(part)] if isinstance(tree, tuple) else [tree]
 
 
 def _like(tree: Any, leaves: Any) -> Any:
+    if tree is None:
+        return None
     if not isinstance(tree, tuple):
         return next(leaves)
     parts = [_like(part, leaves) for part in tree]

@@ -17,7 +17,7 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.params import BOUNDS, Params
 from jaxmpc.precision import in_float64
 from jaxmpc.sealed import write_atomic
-from tuning.goals import UNITS
+from tuning.goals import MARGINS, UNITS
 from tuning.ladder import climb
 from tuning.optimise import descend, schedule
 from tuning.problem import problem_of, training
@@ -28,6 +28,8 @@ LEGS = 3
 """Descents with an exchange between them."""
 SHARE = 0.2
 """Share of the job's steps that a leg takes."""
+RATE = 0.1
+"""Of the job's learning rate: every leg begins at a good point, but its limits may ask for one farther away."""
 
 
 class Front(NamedTuple):
@@ -60,16 +62,17 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
     if z is None:
         way = climb(spec, folder, progress)
         spec, z = way.spec, way.steps[-1].state.leader_z
-    combined = list(product(*(sorted(values, reverse=True) for values in spec.pareto.values())))
+    # Of a floor the smaller is the looser.
+    combined = list(product(*(sorted(values, reverse=not _floor(name)) for name, values in spec.pareto.items())))
     limits = {name: np.array([row[i] for row in combined]) for i, name in enumerate(spec.pareto)}
     job = msgspec.structs.replace(spec, goals={**spec.goals, **{name: combined[0][i] for i, name in enumerate(limits)}})
     problem = problem_of(job, spec.ladder[-1], training(spec, spec.tune.train_seeds)).with_limits(limits)
     goals = [*job.margin_goals, *problem.hard_goals]
     asked = np.stack([limits.get(name, np.full(len(combined), job.goals[name])) for name in goals], axis=1)
-    floors = np.array([name in job.margin_goals and name != "M_s" for name in goals])
+    floors = np.array([_floor(name) for name in goals])
     starts = np.tile(z, (len(combined), 1))
     for leg in range(LEGS):
-        plan = schedule(max(1, round(SHARE * spec.tune.steps)), False, spec.tune.learning_rate * 0.5**leg)
+        plan = schedule(max(1, round(SHARE * spec.tune.steps)), False, RATE * 0.5**leg * spec.tune.learning_rate)
         plan = plan._replace(patience=len(plan.widths))
         state = descend(job, problem, starts, plan, folder, f"state-pareto-{leg + 1}.npz", progress)
         starts = handed_on(state, asked, floors)
@@ -112,6 +115,11 @@ def handed_on(state: State, asked: np.ndarray, floors: np.ndarray) -> np.ndarray
     return own
 
 
+def _floor(name: str) -> bool:
+    """Whether a goal is held from below."""
+    return name in MARGINS and name != "M_s"
+
+
 def table(front: Front) -> str:
     """The front as CSV."""
     names = [f"limit_{name}" for name in front.limits] + [f"reached_{name}" for name in front.limits]
@@ -138,7 +146,8 @@ def front_figure(front: Front, path: Path) -> None:
     with figure(path, 1, 1, size=(4.5, 3.2)) as panel:
         for row in np.unique(rest, axis=0):
             line = (rest == row).all(axis=1)
-            label = ", ".join(f"{name} ≤ {value:g}" for name, value in zip(others, row, strict=True))
+            bounds = zip(others, row, strict=True)
+            label = ", ".join(f"{name} {'≥' if _floor(name) else '≤'} {value:g}" for name, value in bounds)
             panel.plot(front.hard[line, 0], front.score[line], "o-", ms=4, label=label or None)
         panel.set_xlabel(f"{first} {UNITS[first]}".strip())
         panel.set_ylabel("score of the soft goals")
