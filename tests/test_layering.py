@@ -28,6 +28,8 @@ ON_ROBOT = (
     "jaxmpc.world.tissue",
 )
 ROBOT_MAY_IMPORT = ("can", "numpy", *ON_ROBOT)
+# What the twin needs besides; it runs beside the robot's programs, never in them.
+TWIN_MAY_IMPORT = ("mujoco", "jaxmpc.world.heart", "jaxmpc.world.rhythm")
 UNSAFE_MODULES = ("marshal", "pickle", "shelve", "yaml")
 JAX = {"equinox", "jax", "jaxlib", "jaxtyping", "optax"}
 
@@ -70,7 +72,12 @@ def refusal(path: str, found: Import) -> str | None:
     if within(module, ("jaxmpc.law",)):
         allowed = within(name, ("typing", "collections.abc", "jaxmpc.law"))
         return None if allowed else "the law is arithmetic only"
+    if within(module, ("deploy.twin",)):
+        allowed = standard or within(name, ("deploy", *ROBOT_MAY_IMPORT, *TWIN_MAY_IMPORT))
+        return None if allowed else "the twin needs only mujoco besides"
     if within(module, ("deploy",)):
+        if within(name, ("deploy.twin",)):
+            return "the robot has no twin"
         allowed = standard or within(name, ("deploy", *ROBOT_MAY_IMPORT))
         return None if allowed else "the robot has only numpy and python-can"
     if within(module, ON_ROBOT) and not found.deferred and not (standard or within(name, ROBOT_MAY_IMPORT)):
@@ -116,6 +123,10 @@ def test_source_keeps_to_its_layer(path: str) -> None:
         ("deploy/runtime.py", "import jaxmpc"),
         ("deploy/runtime.py", "from jaxmpc import design"),
         ("deploy/runtime.py", "from jaxmpc.world import heart"),
+        ("deploy/runtime.py", "import mujoco"),
+        ("deploy/loop.py", "from deploy.twin import world"),
+        ("deploy/twin/world.py", "import jax"),
+        ("deploy/twin/world.py", "from jaxmpc.world import motion"),
         ("deploy/runtime.py", "from . import record"),
         ("deploy/runtime.py", "exec('1')"),
         ("deploy/record.py", "eval('1')"),
