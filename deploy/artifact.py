@@ -1,5 +1,7 @@
 """A frozen controller as a file: sealed npz, canonical JSON header, golden trace, declared floor."""
 
+import math
+import os
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,15 +10,20 @@ from typing import Any
 
 import numpy as np
 
+from deploy import arm_model, arm_runtime
 from deploy import floor as margin_floor
+from deploy.arm_model import ArmModel
+from deploy.checks import AGAIN, array, constants, plain
 from deploy.runtime import replay
 from jaxmpc.errors import InputError
 from jaxmpc.law.cascade import Gains, constant_reference, order
-from jaxmpc.sealed import LARGEST, SealError, canonical_json, seal, unseal
+from jaxmpc.sealed import LARGEST, SealError, seal, unseal
 
-SCHEMA, VERSION, KIND = "jaxmpc controller", 1, "linear"
+SCHEMA, VERSION = "jaxmpc controller", 1
+KINDS = ("linear", "wam")
+"""The three cascades alone, which only replay; and all that drives an arm."""
 TOLERANCE = 1e-9
-"""Largest deviation from the golden trace at load [-]; `deploy.runtime.replay` says why."""
+"""Largest deviation from the golden trace at load [-, N m]; `deploy.runtime.replay` says why."""
 GAIN_SHAPES: Mapping[str, tuple[int | None, ...]] = {
     "phi": (2,), "gamma": (2,), "K": (None,), "L": (3,), "input_gain": (),
     "mpc_ref": (None,), "mpc_x": (2,), "mpc_u": (),
@@ -45,6 +52,7 @@ class Artifact:
         golden_force: Measured force of the trace (n, 3) [N]; it begins with a reset to its first row.
         golden_force_ref: Wanted force (n, 3) [N], with preview (n, 3, H).
         golden_v: Command of the JAX law (n, 3) [m/s²].
+        arm: What it takes to drive an arm; None only replays.
 
     Raises:
         InputError: A value is missing, malformed, out of range, unstable or below the floor.
@@ -61,14 +69,15 @@ class Artifact:
     golden_force: np.ndarray
     golden_force_ref: np.ndarray
     golden_v: np.ndarray
+    arm: ArmModel | None = None
 
     def __post_init__(self) -> None:
-        arrays = {name: _array(name, getattr(self.gains, name), shape) for name, shape in GAIN_SHAPES.items()}
-        plain = {name: array.tolist() for name, array in arrays.items()}
-        gains = Gains(**{name: tuple(value) if isinstance(value, list) else value for name, value in plain.items()})
+        gains = Gains(
+            **{name: constants(name, getattr(self.gains, name), shape) for name, shape in GAIN_SHAPES.items()}
+        )
         if not 1 <= order(gains) <= 3:
             raise InputError("K", f"{len(gains.K)} numbers", "4 to 6", "The disturbance order is 1, 2 or 3.")
-        _array("sum of mpc_ref", constant_reference(gains).mpc_ref, (1,))
+        array("sum of mpc_ref", constant_reference(gains).mpc_ref, (1,))
         if not isinstance(self.preview, bool):
             raise InputError("preview", self.preview, "true or false", "Say whether the future reference is known.")
         T_s, K2 = margin_floor.number("T_s", self.T_s), margin_floor.number("K2", self.K2)
@@ -77,8 +86,8 @@ class Artifact:
         if not 0.0 <= K2 <= 1e4:
             raise InputError("K2", K2, "in [0, 1e4] 1/s", "The paper's controller has 10.")
         for name in ("params", "provenance"):
-            _check_plain(name, getattr(self, name))
-        force = _array("golden_force", self.golden_force, (None, 3))
+            plain(name, getattr(self, name))
+        force = array("golden_force", self.golden_force, (None, 3))
         ahead = (len(gains.mpc_ref),) if self.preview else ()
         checked = {
             "gains": gains,
@@ -87,26 +96,49 @@ class Artifact:
             "margins": margin_floor.plain_margins(self.margins),
             "floor": margin_floor.plain_floor(self.floor),
             "golden_force": force,
-            "golden_force_ref": _array("golden_force_ref", self.golden_force_ref, (len(force), 3, *ahead)),
-            "golden_v": _array("golden_v", self.golden_v, (len(force), 3)),
+            "golden_force_ref": array("golden_force_ref", self.golden_force_ref, (len(force), 3, *ahead)),
+            "golden_v": array("golden_v", self.golden_v, (len(force), 3)),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         if not np.any(self.golden_v):
             raise InputError("golden_v", "all zero", "a trace that moves", "Nothing could be told from this one.")
         margin_floor.check(self.margins, self.floor)
+        if self.arm is not None:
+            self._check_arm(self.arm)
+
+    def _check_arm(self, arm: ArmModel) -> None:
+        """What only a controller that drives must keep."""
+        if any(row["ideal"] for row in self.margins):
+            remedy = "Freeze it without --ideal: no arm has ideal damping."
+            raise InputError("margins", "of the ideal loop", "those of the loop as it runs", remedy)
+        if len(arm.golden_q) != len(self.golden_force):
+            bound = f"of as many samples as golden_force, {len(self.golden_force)}"
+            raise InputError("golden_q", f"{len(arm.golden_q)} samples", bound, AGAIN)
+        felt = max(math.hypot(*row) for row in self.golden_force.tolist())
+        if felt > arm.limits.force:
+            remedy = "Choose limits that its own run keeps, or another controller."
+            raise InputError("golden_force", f"{felt:.3g} N", f"at most {arm.limits.force:g} N, its limit", remedy)
+
+    @property
+    def kind(self) -> str:
+        """What it can do; see `KINDS`."""
+        return KINDS[self.arm is not None]
 
 
 def check_golden(artifact: Artifact) -> float:
-    """Replay the golden trace and return its deviation [-].
+    """Replay the golden trace and return the deviation of the commands, relative to the largest one [-].
 
     Raises:
-        InputError: It is not reproduced.
+        InputError: It is not reproduced, or on the arm its torques are not.
     """
-    deviation = replay(artifact)
+    remedy = "Its constants and its trace do not belong together: freeze the controller again."
+    deviation, torque = (replay(artifact), 0.0) if artifact.arm is None else arm_runtime.replay(artifact)
     if not deviation <= TOLERANCE:
-        remedy = "Its gains and its trace do not belong together: freeze the controller again."
         raise InputError("deviation from the golden trace", f"{deviation:.3g}", f"at most {TOLERANCE:g}", remedy)
+    if not torque <= TOLERANCE:
+        bound = f"at most {TOLERANCE:g} N m"
+        raise InputError("deviation from the golden torques", f"{torque:.3g} N m", bound, remedy)
     return deviation
 
 
@@ -115,7 +147,10 @@ def to_bytes(artifact: Artifact) -> bytes:
     rows = [{key: "inf" if value == np.inf else value for key, value in row.items()} for row in artifact.margins]
     header = {name: getattr(artifact, name) for name in HEADER} | {"gains": artifact.gains._asdict(), "margins": rows}
     golden = {name: getattr(artifact, name) for name in GOLDEN}
-    return seal({"schema": SCHEMA, "version": VERSION, "kind": KIND, **header}, golden)
+    if artifact.arm is not None:
+        header |= {"arm": artifact.arm.plain()}
+        golden |= {name: getattr(artifact.arm, name) for name in arm_model.GOLDEN}
+    return seal({"schema": SCHEMA, "version": VERSION, "kind": artifact.kind, **header}, golden)
 
 
 def from_bytes(data: bytes) -> Artifact:
@@ -127,39 +162,63 @@ def from_bytes(data: bytes) -> Artifact:
     header, arrays = _opened(data)
     if header.get("schema") != SCHEMA:
         raise ArtifactError(f"it is sealed, but not a controller: its schema is {header.get('schema')!r}")
-    version = header.get("version")
+    version, kind = header.get("version"), header.get("kind")
     if isinstance(version, int) and version > VERSION:
         raise ArtifactError(f"it has schema version {version}, newer than {VERSION}: update jaxmpc on this machine")
     if version != VERSION:
         raise ArtifactError(f"it has schema version {version!r}, which never existed")
-    if header.get("kind") != KIND:
-        raise ArtifactError(f"it is of the kind {header.get('kind')!r}; this version of jaxmpc runs {KIND!r}")
-    if missing := [name for name in GOLDEN if name not in arrays]:
+    if kind not in KINDS:
+        raise ArtifactError(
+            f"it is of the kind {kind!r}; this version of jaxmpc knows {' and '.join(map(repr, KINDS))}"
+        )
+    keys, names = (HEADER, GOLDEN) if kind == "linear" else ((*HEADER, "arm"), (*GOLDEN, *arm_model.GOLDEN))
+    if missing := [name for name in names if name not in arrays]:
         raise ArtifactError(f"it lacks the array {missing[0]}")
-    if missing := [name for name in HEADER if name not in header]:
+    if missing := [name for name in keys if name not in header]:
         raise ArtifactError(f"its header lacks {missing[0]}")
     gains = header["gains"]
     if not isinstance(gains, dict) or set(gains) != set(GAIN_SHAPES):
         raise ArtifactError(f"its gains are not a table of {', '.join(GAIN_SHAPES)}")
     try:
         fields = {name: header[name] for name in HEADER} | {name: arrays[name] for name in GOLDEN}
-        artifact = Artifact(**(fields | {"gains": Gains(**gains)}))
-        check_golden(artifact)
+        with np.errstate(all="ignore"):  # what overflows is refused for what it gives
+            arm = ArmModel.from_plain(header["arm"], arrays) if kind == "wam" else None
+            artifact = Artifact(**(fields | {"gains": Gains(**gains), "arm": arm}))
+            check_golden(artifact)
     except InputError as error:
         raise ArtifactError(str(error)) from None
+    except (ArithmeticError, ValueError) as error:
+        raise ArtifactError(f"its law cannot be computed: {error}") from None
     return artifact
 
 
-def load(path: Path | str) -> Artifact:
+def load(path: Path | str, *, expect_rate: float | None = None, expect_robot: str | None = None) -> Artifact:
     """The artifact in a file, checked throughout and replayed.
 
+    Args:
+        path: Of the file.
+        expect_rate: The rate at which it is to run [1/s]; None takes any.
+        expect_robot: The robot that it is to drive; None also takes what only replays.
+
     Raises:
-        ArtifactError: There is no such file, it cannot be read, or something is wrong with it.
+        ArtifactError: There is no such file, it cannot be read, something is wrong with it, or it is for another
+            rate or robot.
     """
     try:
-        return from_bytes(read(Path(path)))
+        artifact = from_bytes(read(Path(path)))
+        if expect_rate is not None and not abs(artifact.T_s * expect_rate - 1.0) <= 1e-9:
+            rates = f"{1.0 / artifact.T_s:g} times a second, not {expect_rate:g}"
+            raise ArtifactError(f"its law runs {rates}: run it at its rate, or freeze it for yours")
+        if expect_robot is not None and artifact.arm is None:
+            raise ArtifactError(
+                f"it is of the kind {artifact.kind!r}, which replays and drives no arm: "
+                "freeze it with an experiment on the arm, such as table-1-wam"
+            )
+        if expect_robot is not None and artifact.arm is not None and artifact.arm.robot != expect_robot:
+            raise ArtifactError(f"it drives a {artifact.arm.robot}, and this is a {expect_robot}")
     except ArtifactError as error:
         raise ArtifactError(f"{path}: {error}") from None
+    return artifact
 
 
 def is_artifact(path: Path) -> bool:
@@ -178,12 +237,16 @@ def read(path: Path) -> bytes:
         ArtifactError: It is no such file, or it cannot be read.
     """
     try:
-        status = path.stat()
+        status = path.lstat()
+        if stat.S_ISLNK(status.st_mode):
+            raise ArtifactError("it is a symbolic link, behind which anybody may put another: name the file itself")
         if not stat.S_ISREG(status.st_mode):
             raise ArtifactError("it is not a file, but a folder or a device")
         if status.st_size > LARGEST:
             raise ArtifactError(f"it has {status.st_size} bytes, more than the {LARGEST} that are read")
-        return path.read_bytes()
+        # Whatever has taken its place meanwhile is neither followed nor waited for, nor read without end.
+        with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+            return file.read(LARGEST + 1)
     except OSError as error:
         raise ArtifactError(f"it cannot be read: {error.strerror}") from None
 
@@ -193,32 +256,3 @@ def _opened(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         return unseal(data)
     except SealError as error:
         raise ArtifactError(str(error)) from None
-
-
-def _array(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
-    """A read-only float64 copy of a finite array; None in the shape stands for any length but 0."""
-    try:
-        array = np.array(value)
-    except ValueError:
-        array = np.array(None)
-    if array.dtype.kind not in "fiu":
-        raise InputError(name, f"an array of {array.dtype}", "an array of numbers", "Freeze the controller again.")
-    wrong = [have for have, want in zip(array.shape, shape, strict=False) if have != (want or max(have, 1))]
-    if array.ndim != len(shape) or wrong:
-        bound = f"of shape ({', '.join('n' if length is None else str(length) for length in shape)})"
-        raise InputError(name, f"an array of shape {array.shape}", bound, "Freeze one controller, with three axes.")
-    if not np.all(np.isfinite(array)):
-        raise InputError(name, "not finite somewhere", "finite everywhere", "Its design or its trace has failed.")
-    array = np.ascontiguousarray(array, np.float64).reshape(array.shape)
-    array.setflags(write=False)
-    return array
-
-
-def _check_plain(name: str, value: Any) -> None:
-    try:
-        if isinstance(value, dict) and canonical_json(value):
-            return
-    except (TypeError, ValueError):
-        pass
-    remedy = "Use numbers, words, lists and tables, and no infinity."
-    raise InputError(name, value, "a table of plain data", remedy)

@@ -1,7 +1,7 @@
 """The margins that a frozen controller has at each stiffness, and the floor that it promises to keep."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxmpc.errors import InputError
@@ -33,7 +33,7 @@ def number(key: str, value: Any) -> float:
     return result
 
 
-def plain_margins(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def plain_margins(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Rows of margins as plain data.
 
     Raises:
@@ -41,6 +41,8 @@ def plain_margins(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """
     known = {*CASE, *UNITS, "spectral_radius"}
     plain = []
+    if not isinstance(rows, list | tuple):
+        raise InputError("margins", rows, "a list of tables", "Give one for each stiffness.")
     for row in rows:
         if not isinstance(row, Mapping) or set(row) != known:
             raise InputError("margins", row, f"a table of {', '.join(sorted(known))}", "Give each of them once.")

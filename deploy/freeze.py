@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from deploy.arm_model import GOLDEN, ArmModel
 from deploy.artifact import Artifact, check_golden, is_artifact, load, to_bytes
 from jaxmpc.errors import InputError
 from jaxmpc.law.cascade import Gains
@@ -23,6 +24,7 @@ def freeze(
     golden: tuple[np.ndarray, np.ndarray, np.ndarray],
     provenance: dict[str, Any],
     preview: bool = False,
+    arm: Mapping[str, Any] | None = None,
 ) -> Artifact:
     """Write an artifact, atomically, and load it back.
 
@@ -39,6 +41,9 @@ def freeze(
             law answered (n, 3) [m/s²] after a reset to the first measured force.
         provenance: What made it, plain data; a clock or a host name in it makes its bytes differ.
         preview: Whether the future reference along H_p is known at run time.
+        arm: What the controller drives; None makes one that only replays. Entries as in
+            `deploy.arm_model.MEANING`, and of the trace `golden_q` [rad], `golden_applied` and `golden_torque`
+            [N m], each (n, 4).
 
     Raises:
         InputError: The controller is unstable or below its floor, an argument is malformed, the golden
@@ -47,9 +52,9 @@ def freeze(
     """
     path = Path(path)
     force, force_ref, v = golden
-    artifact = Artifact(
-        gains, T_s, K2, preview, params, list(map(dict, margins)), dict(floor), provenance, force, force_ref, v
-    )
+    rows = list(map(dict, margins))
+    model = None if arm is None else _model(arm)
+    artifact = Artifact(gains, T_s, K2, preview, params, rows, dict(floor), provenance, force, force_ref, v, model)
     check_golden(artifact)
     data = to_bytes(artifact)
     if len(data) > LARGEST:
@@ -60,3 +65,8 @@ def freeze(
         raise InputError("output", path, "new or an intact artifact", "Something else is there: choose another name.")
     write_atomic(path, data)
     return load(path)
+
+
+def _model(arm: Mapping[str, Any]) -> ArmModel:
+    table = {key: value for key, value in arm.items() if key not in GOLDEN}
+    return ArmModel.from_plain(table, arm)

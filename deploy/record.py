@@ -5,11 +5,15 @@ finite values the recording gives the bits that the source gives on floats. Only
 −(−x) are folded: equal in value, though a zero may change its sign, and 0·x no longer spreads a NaN of x.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from math import isfinite
 from typing import Any, NoReturn
+
+FUNCTIONS: dict[str, Callable[[float], float]] = {"sin": math.sin, "cos": math.cos, "sqrt": math.sqrt}
+"""What a recording may call besides its own arithmetic."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,26 @@ class Operand:
         raise TypeError("a recorded number is neither true nor false: its value is not known yet")
 
 
+class _Functions:
+    """Scalar functions of the law: recorded on operands, computed on numbers."""
+
+    def sin(self, x: Any) -> Any:
+        """Sine of an angle [rad]."""
+        return _apply("sin", x)
+
+    def cos(self, x: Any) -> Any:
+        """Cosine of an angle [rad]."""
+        return _apply("cos", x)
+
+    def sqrt(self, x: Any) -> Any:
+        """Square root."""
+        return _apply("sqrt", x)
+
+
+functions = _Functions()
+"""The `ops` of whatever is recorded."""
+
+
 class Tape:
     """The operations of one recording, each different one once, in their first order."""
 
@@ -133,7 +157,7 @@ def record(function: Callable[..., Any], inputs: Sequence[Any]) -> Recorded:
     body += [*steps, f"return {_text(output)}"]
     head = f"def recorded({', '.join(f'a{index}' for index in range(len(operands)))}):"
     source = "\n    ".join([head, *body]) + "\n"
-    namespace: dict[str, Any] = {"__builtins__": {}}
+    namespace: dict[str, Any] = {"__builtins__": {}, **FUNCTIONS}
     exec(compile(source, "<recorded>", "exec"), namespace)  # our own text: names and numbers made above
     return Recorded(namespace["recorded"], source, len(steps))
 
@@ -164,6 +188,10 @@ def _text(tree: Any) -> str:
     if isinstance(tree, tuple):
         return f"({''.join(f'{_text(child)}, ' for child in tree)})"
     return tree.name if isinstance(tree, Operand) else repr(tree)
+
+
+def _apply(name: str, x: Any) -> Any:
+    return x.tape.operation(f"{name}({{}})", x) if isinstance(x, Operand) else FUNCTIONS[name](x)
 
 
 def _equals(value: Any, constant: float) -> bool:

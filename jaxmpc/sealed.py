@@ -3,8 +3,11 @@
 import hashlib
 import io
 import json
+import math
 import os
+import struct
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,11 @@ SEAL = hashlib.sha256().digest_size
 """Length of the trailer [bytes]."""
 LARGEST = 64 * 2**20
 """Largest file that is read [bytes]."""
+
+LARGEST_CONTENTS = 2**20
+"""Largest table of contents of its zip archive [bytes]; a file of ours has a dozen entries of 60."""
+_END = struct.Struct("<4s4H2LH")
+"""Last record of a zip archive without a comment; the sixth number is the size of the table of contents."""
 
 
 class SealError(ValueError):
@@ -54,9 +62,9 @@ def unseal(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     if hashlib.sha256(body).digest() != trailer:
         raise SealError("its sha256 seal does not match its content: it was changed or cut short after it was written")
     try:
+        _check_contents(body)
         with np.load(io.BytesIO(body), allow_pickle=False) as archive:
-            if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST:
-                raise SealError(f"it unpacks to more than {LARGEST} bytes")
+            _check_sizes(archive.zip)
             arrays = {name: archive[name] for name in archive.files}
         header = json.loads(arrays.pop("header").tobytes().decode())
     except SealError:
@@ -67,6 +75,28 @@ def unseal(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     if not isinstance(header, dict):
         raise SealError("it is sealed, but its header is not a table")
     return header, arrays
+
+
+def _check_contents(body: bytes) -> None:
+    """Refuse a table of contents that would take far more memory than it has bytes; `seal` ends its file with it."""
+    if len(body) < _END.size:
+        return
+    mark, *_, size, _, _ = _END.unpack(body[-_END.size :])
+    if mark == b"PK\5\6" and size > LARGEST_CONTENTS:
+        raise SealError(f"its table of contents has {size} bytes, more than {LARGEST_CONTENTS}")
+
+
+def _check_sizes(archive: zipfile.ZipFile) -> None:
+    """Refuse what unpacks to too much, before a byte of it is unpacked."""
+    if sum(entry.file_size for entry in archive.infolist()) > LARGEST:
+        raise SealError(f"it unpacks to more than {LARGEST} bytes")
+    for name in archive.namelist():
+        with archive.open(name) as entry:
+            version = np.lib.format.read_magic(entry)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(entry)
+        if math.prod(shape) * dtype.itemsize > LARGEST:
+            raise SealError(f"an array in it claims to have more than {LARGEST} bytes")
 
 
 def write_atomic(path: Path, data: bytes) -> None:

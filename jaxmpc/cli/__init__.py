@@ -16,6 +16,10 @@ VERBS = {
     "freeze": "parameters → a sealed controller for the robot",
     "identify": "joint friction and mass error of the arm from a recording of its own motion",
     "check": "replay a frozen controller's golden trace, print its limits and margins",
+    "doctor": "is this machine, its bus and its clock fit to run a controller?",
+    "twin": "a simulated WAM with pendant, force sensor and beating heart that speaks the arm's CAN protocol",
+    "run": "drive the arm with a frozen controller, over CAN or against the twin",
+    "replay": "a flight recording through the frozen controller once more: where do they part?",
 }
 
 

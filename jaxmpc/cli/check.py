@@ -6,9 +6,13 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxmpc.errors import InputError
+
+if TYPE_CHECKING:
+    from deploy.arm_model import ArmModel
+    from deploy.artifact import Artifact
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -22,9 +26,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: There is no such file.
     """
-    from deploy.artifact import KIND, TOLERANCE, ArtifactError, load
+    from deploy.artifact import TOLERANCE, ArtifactError, check_golden, load
     from deploy.floor import UNITS
-    from deploy.runtime import Runtime, replay
 
     path: Path = args.artifact
     if not os.path.lexists(path):
@@ -37,10 +40,13 @@ def run(args: argparse.Namespace) -> int:
 
     reference = "known along the horizon" if artifact.preview else "held constant along the horizon"
     print(f"{path}: intact\n  sha256      {hashlib.sha256(path.read_bytes()).hexdigest()}")
-    print(f"  kind        {KIND}: to replay, not to drive an arm")
+    runs = "runs: `jaxmpc run` drives an arm with it" if artifact.arm else "replay only: it drives no arm"
+    print(f"  kind        {artifact.kind}, {runs}")
     print(f"  T_s         {artifact.T_s:g} s\n  K2          {artifact.K2:g} 1/s\n  reference   {reference}")
     for title, table in (("made by", artifact.provenance), ("params", artifact.params)):
         print(f"  {title:<11} {', '.join(f'{key} {_short(value)}' for key, value in table.items()) or '-'}")
+    if artifact.arm is not None:
+        _print_arm(artifact.arm)
     print("\n  stiffness  delay  damping  " + "".join(f"{key:>18}" for key in (*UNITS, "spectral_radius")))
     for row in artifact.margins:
         values = "".join(f"{row[key]:>18.4g}" for key in (*UNITS, "spectral_radius"))
@@ -49,21 +55,64 @@ def run(args: argparse.Namespace) -> int:
     limits = [f"{sign[key]} {artifact.floor[key]:g}" if key in sign else "" for key in UNITS]
     print(f"  {'limit':<25}  " + "".join(f"{limit:>18}" for limit in (*limits, "< 1")))
     print(f"\n  golden trace: {len(artifact.golden_v)} samples replayed,", end=" ")
-    print(f"deviation {replay(artifact):.1e} of the largest command (limit {TOLERANCE:g})")
-    took = _step_times(Runtime(artifact), artifact)
-    print(f"  one step of three axes: median {took[50]:.1f} µs, 99 % within {took[99]:.1f} µs")
+    torques = f" and {TOLERANCE:g} N m" if artifact.arm else ""
+    print(f"deviation {check_golden(artifact):.1e} of the largest command (limit {TOLERANCE:g}{torques})")
+    took, what = _times(artifact), "tick of the arm, without the bus" if artifact.arm else "step of three axes"
+    print(f"  one {what}: median {took[50]:.1f} µs, 99 % within {took[99]:.1f} µs")
     return 0
 
 
-def _step_times(runtime: Any, artifact: Any, count: int = 20_000) -> list[float]:
-    """Percentiles 0 to 99 of the time of one step [µs]."""
+def _print_arm(arm: "ArmModel") -> None:
+    """Model and limits of what drives an arm."""
+    from deploy.limits import UNIT
+
+    nominal, links = arm.nominal, arm.chain.links
+    friction = "cancels friction" if arm.compensated else "cancels no friction"
+    print(f"\n  robot       {arm.robot}, tip {arm.tool_length:g} m beyond the elbow")
+    print(f"  model       links {sum(link.mass for link in links):.3f} kg × {nominal.mass_scale:g}", end="")
+    print(f", tool error {nominal.tool_error:g} kg, {friction}")
+    print(f"  posture     {_list(arm.posture)} rad")
+    print(f"  velocities  low-pass {arm.velocity_cutoff:g} rad/s, encoders of {arm.encoder_counts} counts")
+    print("\n  limit")
+    for name, value in arm.limits.plain().items():
+        print(f"  {name:<22}{_list(value)} {UNIT[name]}")
+
+
+def _times(artifact: "Artifact", count: int = 20_000) -> list[float]:
+    """Percentiles 0 to 99 of the time of one step or, on the arm, tick [µs]."""
+    from deploy.arm_runtime import ArmRuntime
+    from deploy.runtime import Runtime
+
     force, force_ref = artifact.golden_force[0].tolist(), artifact.golden_force_ref[0].tolist()
+    if artifact.arm is None:
+        runtime = Runtime(artifact)
+
+        def once() -> None:
+            runtime.step(force, force_ref)
+    else:
+        arm, q, applied = (
+            ArmRuntime(artifact),
+            artifact.arm.golden_q[0].tolist(),
+            artifact.arm.golden_applied[0].tolist(),
+        )
+
+        def once() -> None:
+            arm.control(q, arm.velocity(q), force, force_ref)
+            arm.applied(applied)
+
     took = []
     for _ in range(count):
         start = time.perf_counter_ns()
-        runtime.step(force, force_ref)
+        once()
         took.append(time.perf_counter_ns() - start)
     return [each / 1e3 for each in sorted(took)[:: count // 100]]
+
+
+def _list(value: Any) -> str:
+    """Nested numbers in a few digits."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_list, value))}]"
+    return f"{value:.4g}"
 
 
 def _short(value: Any) -> str:

@@ -1,13 +1,18 @@
 """`jaxmpc freeze`: parameters → a sealed controller for the robot."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from deploy.artifact import Artifact
     from jaxmpc.experiment import Experiment
+    from jaxmpc.law.cascade import Gains
     from jaxmpc.params import Params
+    from jaxmpc.stability import Margins
 
 STIFFNESSES = 33
 """Between the softest and the hardest tissue, log-spaced, besides the experiment's own."""
@@ -19,7 +24,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("params", help="a params.toml, or a published set: text, printed")
     parser.add_argument("-o", "--output", type=Path, default=Path("controller.npz"), help="(controller.npz)")
-    parser.add_argument("--experiment", default="table-1", help="its stiffnesses are the promise (table-1)")
+    parser.add_argument(
+        "--experiment",
+        default="table-1",
+        help="its stiffnesses are the promise (table-1, which only replays; to drive an arm: table-1-wam)",
+    )
+    parser.add_argument("--limits", type=Path, metavar="TOML", help="limits on the arm that differ from the default")
     parser.add_argument("--ideal", action="store_true", help="declare the margins of the ideal loop, not as it runs")
     floor = parser.add_argument_group("margin floor, held at every stiffness from softest to hardest")
     floor.add_argument("--max-ms", type=float, default=2.0, metavar="M_S", help="highest peak sensitivity (2.0)")
@@ -44,54 +54,62 @@ def run(args: argparse.Namespace) -> int:
     }
     floor = {name: value for name, value in given.items() if value is not None}
     params, experiment = params_from(args.params), experiment_from(args.experiment)
-    artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal)
+    artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal, limits=args.limits)
     loop = "ideal loop" if args.ideal else "loop as it runs"
     worst = max(row["M_s"] for row in artifact.margins)
     print(f"frozen: {args.output} ({args.output.stat().st_size} bytes), K_s {len(artifact.margins)} values, {loop}")
     print(f"worst M_s {worst:.3f}, floor {artifact.floor}")
+    if artifact.arm is not None:
+        print(f"drives a {artifact.arm.robot}, never beyond {artifact.arm.limits.force:g} N on the tissue")
     print(f"`jaxmpc check {args.output}` replays it anywhere")
     return 0
 
 
 def freeze_controller(
-    path: Path, params: "Params", experiment: "Experiment", floor: dict[str, float], *, ideal: bool
+    path: Path,
+    params: "Params",
+    experiment: "Experiment",
+    floor: dict[str, float],
+    *,
+    ideal: bool,
+    limits: Path | None = None,
 ) -> "Artifact":
-    """Connect design, margins and simulation to the robot-side `deploy.freeze`, which takes plain arrays.
+    """Connect design, margins and simulation to the robot-side `deploy.freeze`, which takes plain data.
 
     Args:
         path: Where to.
         params: One controller.
-        experiment: Its stiffnesses, sampling and delay are what is promised; its run is the golden trace.
+        experiment: Its stiffnesses, sampling and delay are what is promised; its run is the golden trace. On the
+            arm, its arm, posture and velocity filter are what the controller believes in.
         floor: Margins to be kept at every stiffness.
         ideal: Whether the declared margins are those of the ideal loop.
+        limits: A TOML file of limits that differ from the default ones.
 
     Raises:
-        InputError: The controller is unstable or below its floor; nothing has been written.
+        InputError: The controller is unstable or below its floor, or a limit is wrong; nothing has been written.
     """
-    import numpy as np
-
+    from deploy.floor import check, plain_floor
     from deploy.freeze import freeze
-    from jaxmpc import __version__, design, margins
+    from jaxmpc import __version__, design
     from jaxmpc.errors import InputError
     from jaxmpc.golden import law_trace, simulated_run
     from jaxmpc.sealed import digest
 
-    between = np.geomspace(min(experiment.stiffness), max(experiment.stiffness), STIFFNESSES)
-    stiffness = np.unique([*experiment.stiffness, *between])
-    found = margins(params, stiffness, delay=experiment.delay, ideal=ideal, timing=experiment.timing)
-    rows: list[dict[str, Any]] = []
-    for i, K_s in enumerate(stiffness.tolist()):
-        row = {name: float(getattr(found, name)[i]) for name in found._fields if name != "status"}
-        if not row["spectral_radius"] < 1.0:
-            remedy = "Tune it over this stiffness, or promise a narrower set."
-            raise InputError("spectral radius", f"{row['spectral_radius']:.4f} at {K_s:.4g} N/m", "below 1", remedy)
-        rows.append({"stiffness": K_s, "delay": experiment.delay, "ideal": ideal, **row})
-
-    preview = experiment.reference.preview
-    first = min(round(GOLDEN_FROM / experiment.sampling_time), max(experiment.steps - GOLDEN_SAMPLES, 0))
-    force, wanted = (signal[first : first + GOLDEN_SAMPLES] for signal in simulated_run(params, experiment))
-    gains = design(params, experiment.timing)
-    v = law_trace(gains, force, wanted, preview)
+    on_arm = experiment.physics != "linear"
+    if limits is not None and not on_arm:
+        remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
+        raise InputError("--limits", limits, "given for an arm only", remedy)
+    if ideal and on_arm:
+        raise InputError("--ideal", experiment.name, "left out on the arm", "No arm has ideal damping.")
+    arm = _believed(experiment, limits) if on_arm else None
+    rows = _rows(params, experiment, ideal)
+    check(rows, plain_floor(floor))  # before the long part
+    gains, K2 = design(params, experiment.timing), float(params.K2)
+    if arm is None:
+        force, wanted = (_cut(experiment, signal) for signal in simulated_run(params, experiment))
+        v = law_trace(gains, force, wanted, experiment.reference.preview)
+    else:
+        force, wanted, v = _arm_trace(params, experiment, gains, arm)
     provenance = {
         "jaxmpc": __version__,
         "experiment": experiment.name,
@@ -101,11 +119,108 @@ def freeze_controller(
         path,
         gains,
         experiment.sampling_time,
-        float(params.K2),
+        K2,
         params.to_dict(),
         rows,
         floor,
         (force, wanted, v),
         provenance,
-        preview,
+        experiment.reference.preview,
+        arm,
     )
+
+
+def _rows(params: "Params", experiment: "Experiment", ideal: bool) -> list[dict[str, Any]]:
+    """Margins at the experiment's stiffnesses and between them; on the arm with its filters, as `evaluate` has them."""
+    import numpy as np
+
+    from jaxmpc import Params, margins
+    from jaxmpc.errors import InputError
+
+    between = np.geomspace(min(experiment.stiffness), max(experiment.stiffness), STIFFNESSES)
+    stiffness = np.unique([*experiment.stiffness, *between])
+    if experiment.physics == "linear":
+        found = margins(params, stiffness, delay=experiment.delay, ideal=ideal, timing=experiment.timing)
+    else:
+        found = _margins_on_the_arm(Params.stack([params]), experiment, stiffness)
+    rows: list[dict[str, Any]] = []
+    for i, K_s in enumerate(stiffness.tolist()):
+        row = {name: float(getattr(found, name)[i]) for name in found._fields if name != "status"}
+        if not row["spectral_radius"] < 1.0:
+            remedy = "Tune it over this stiffness, or promise a narrower set."
+            raise InputError("spectral radius", f"{row['spectral_radius']:.4f} at {K_s:.4g} N/m", "below 1", remedy)
+        rows.append({"stiffness": K_s, "delay": experiment.delay, "ideal": ideal, **row})
+    return rows
+
+
+def _margins_on_the_arm(batch: "Params", experiment: "Experiment", stiffness: "np.ndarray") -> "Margins":
+    """Margins of one controller at each stiffness."""
+    import jax
+    import numpy as np
+
+    from jaxmpc.engine.once import JitOnce
+    from jaxmpc.evaluation import designed, judged
+    from jaxmpc.precision import in_float64
+    from jaxmpc.scene import scene_of
+
+    scene = scene_of(experiment)._replace(stiffness=stiffness)
+    judge = JitOnce(lambda params: judged(designed(params, scene, ideal=False), ideal=False))
+    found: Margins = jax.tree.map(lambda leaf: np.asarray(leaf)[0], in_float64(judge)(batch))
+    return found
+
+
+def _believed(experiment: "Experiment", limits: Path | None) -> dict[str, Any]:
+    """What the controller is to believe of the experiment's arm, and the limits there."""
+    from deploy.arm_model import ROBOT
+    from jaxmpc.arm_settings import robot_of
+    from jaxmpc.world.arm import chain
+
+    robot, arm = robot_of(experiment), chain()
+    return {
+        "robot": ROBOT,
+        "chain": arm,
+        "tool_length": -arm.tip[1],
+        "nominal": robot.nominal,
+        "compensated": experiment.arm.compensation > 0.0,
+        "posture": robot.posture,
+        "velocity_cutoff": experiment.velocity_lowpass,
+        "encoder_counts": experiment.arm.encoder_counts,
+        "limits": _limits(robot.touch, limits),
+    }
+
+
+def _limits(tip: Sequence[float], path: Path | None) -> dict[str, Any]:
+    """The default limits around the tip, with those of a TOML file instead."""
+    from deploy.limits import Limits
+    from jaxmpc.errors import InputError, nearest
+    from jaxmpc.spec import located, read_toml
+
+    default = Limits.default(tip).plain()
+    if path is None:
+        return default
+    given = read_toml(path)
+    with located(path):
+        for key, value in given.items():
+            if key not in default:
+                raise InputError(f"limits.{key}", value, "a known limit", nearest(key, list(default)))
+        return Limits.from_plain(default | given).plain()
+
+
+def _arm_trace(
+    params: "Params", experiment: "Experiment", gains: "Gains", arm: dict[str, Any]
+) -> tuple["np.ndarray", "np.ndarray", "np.ndarray"]:
+    """Force, wanted force and commands of the golden trace; its angles and torques go to the arm's table."""
+    from jaxmpc.golden import ArmRun, arm_law_trace, simulated_arm_runs
+
+    middle = len(experiment.stiffness) // 2
+    (found,) = simulated_arm_runs(params, experiment, experiment.stiffness[middle : middle + 1])
+    run = ArmRun(*(_cut(experiment, signal) for signal in found))
+    answer = arm_law_trace(gains, float(params.K2), experiment, run)
+    arm |= {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
+    return run.force, run.force_ref, answer.v
+
+
+def _cut(experiment: "Experiment", signal: "np.ndarray") -> "np.ndarray":
+    """That part of a run which is kept as the golden trace."""
+    first = min(round(GOLDEN_FROM / experiment.sampling_time), max(experiment.steps - GOLDEN_SAMPLES, 0))
+    return signal[first : first + GOLDEN_SAMPLES]

@@ -1,6 +1,5 @@
-"""A frozen controller with the paper's text gains (K̂_s = 900 N/m), made without any simulator."""
+"""Frozen controllers of `made`, as fixtures."""
 
-import math
 import random
 from types import SimpleNamespace
 
@@ -8,26 +7,8 @@ import numpy as np
 import pytest
 
 from jaxmpc.law import cascade
-
-K_HAT, K2, T_S = 900.0, 10.0, 1e-3
-
-
-def text_gains() -> cascade.Gains:
-    decay = (1.0 - math.exp(-K2 * T_S)) / K2
-    # 30 weights that differ, so that a wrong order of the preview shows, and 34 beyond the horizon
-    shape = [1.0 + 0.1 * i for i in range(30)]
-    mpc_ref = [1.98311185836792 * w / sum(shape) for w in shape] + [0.0] * 34
-    L = (89.72993333, 0.66057566, 0.55698721)
-    return cascade.Gains(
-        phi=(0.000995016625083195, 0.9900498337491681),
-        gamma=(K_HAT * (T_S - decay) / K2, K_HAT * decay),
-        K=(0.14991379, 12.16723884, 0.6519533, 0.6519533),
-        L=L,
-        input_gain=L[0],
-        mpc_ref=tuple(mpc_ref),
-        mpc_x=(1.40035089, 0.00208595),
-        mpc_u=0.58276126,
-    )
+from tests.deploy import made
+from tests.deploy.made import K2, T_S, margin_row, text_gains
 
 
 def run_law(gains, force, force_ref):
@@ -51,21 +32,6 @@ def trace(gains, n, preview, seed=1):
     return force, force_ref if preview else force_ref[..., 0], v
 
 
-def margin_row(stiffness, **changes):
-    row = {
-        "stiffness": stiffness,
-        "delay": 1,
-        "ideal": False,
-        "M_s": 1.6,
-        "gain_margin_db": 8.0,
-        "gain_reduction_db": math.inf,
-        "phase_margin_deg": 40.0,
-        "delay_margin_s": 2e-3,
-        "spectral_radius": 0.98,
-    }
-    return row | changes
-
-
 @pytest.fixture
 def law():
     return SimpleNamespace(gains=text_gains(), trace=trace, run=run_law, row=margin_row)
@@ -85,3 +51,9 @@ def arguments():
         "golden": trace(gains, 12, preview=False),
         "provenance": {"jaxmpc": "0.1.0"},
     }
+
+
+@pytest.fixture(scope="session")
+def arm_artifact():
+    """A controller that drives the WAM."""
+    return made.arm_artifact()

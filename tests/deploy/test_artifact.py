@@ -1,6 +1,7 @@
 import io
 import os
 import pickle
+import tracemalloc
 import zipfile
 from hashlib import sha256
 
@@ -59,7 +60,8 @@ HEADER_CASES = [
     ({"version": 2}, "newer than 1: update jaxmpc"),
     ({"version": 0}, "never existed"),
     ({"version": "1"}, "never existed"),
-    ({"kind": "wam"}, "of the kind 'wam'"),
+    ({"kind": "7-dof"}, "of the kind '7-dof'; this version of jaxmpc knows 'linear' and 'wam'"),
+    ({"kind": None}, "of the kind None"),
     ({"T_s": 0.0}, r"T_s = 0.0: must be in \[1e-5, 0.1\] s"),
     ({"T_s": "nan"}, "T_s = nan: must be a number"),
     ({"T_s": 10**400}, "T_s = 1000.*must be a number"),
@@ -237,9 +239,30 @@ def plain_npy():
     return buffer.getvalue()
 
 
-def huge_claim():
-    text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1099511627776000,), }\n"
+def huge_claim(count=1099511627776000):
+    text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (%d,), }\n" % count
     return member("header.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
+
+
+def crowd():
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for i in range(25_000):
+            archive.writestr(f"{i}.npy", b"")
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("make", [bomb, lambda: huge_claim(2**30), crowd], ids=["bomb", "claim", "crowd"])
+def test_what_would_fill_the_memory_is_refused_before_it_does(make):
+    data = sealed(make())
+    tracemalloc.start()
+    try:
+        with pytest.raises(ArtifactError):
+            from_bytes(data)
+        # Of the file itself there may be one more copy.
+        assert tracemalloc.get_traced_memory()[1] <= len(data) + 2**20
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize(
@@ -249,7 +272,8 @@ def huge_claim():
         (object_array, "sealed, but not a jaxmpc file"),
         (bomb, f"unpacks to more than {LARGEST} bytes"),
         (plain_npy, "sealed, but not a jaxmpc file"),
-        (huge_claim, "sealed, but not a jaxmpc file"),
+        (huge_claim, f"claims to have more than {LARGEST} bytes"),
+        (crowd, "table of contents has .* bytes, more than"),
         (lambda: member("header", b"{}"), "sealed, but not a jaxmpc file"),
         (lambda: b"hello", "sealed, but not a jaxmpc file"),
         (lambda: seal([], {})[:-32], "its header is not a table"),  # type: ignore[arg-type]
@@ -270,8 +294,10 @@ def test_unsealed_pickle_is_refused_by_its_seal(tmp_path):
         load(path)
 
 
-def test_paths_that_are_no_files(tmp_path):
+def test_paths_that_are_no_files(data, tmp_path):
     (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "good.npz").write_bytes(data)
+    (tmp_path / "link").symlink_to("good.npz")
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
     with (tmp_path / "large").open("wb") as file:
@@ -279,7 +305,8 @@ def test_paths_that_are_no_files(tmp_path):
     (tmp_path / "empty").touch()
     cases = {
         "missing": "cannot be read: No such file",
-        "loop": "cannot be read: .*symbolic links",
+        "loop": "is a symbolic link, behind which anybody may put another",
+        "link": "is a symbolic link",
         "folder": "not a file, but a folder or a device",
         "pipe": "not a file, but a folder or a device",
         "large": f"more than the {LARGEST}",
@@ -288,3 +315,5 @@ def test_paths_that_are_no_files(tmp_path):
     for name, message in cases.items():
         with pytest.raises(ArtifactError, match=f"{name}: it .*{message}"):
             load(tmp_path / name)
+    with pytest.raises(ArtifactError, match="/dev/zero: it is not a file"):
+        load("/dev/zero")

@@ -1,0 +1,162 @@
+"""What the arm may do: states, the one way up, the many ways down.
+
+    IDLE → ARMED → APPROACH → CONTACT → RETRACT → STOPPED
+      any of them → FAULT
+
+A situation only ever moves along these arrows. RETRACT, STOPPED and FAULT never lead back: whoever wants to go on
+starts anew, with arming and the pendant. Each way down carries its reason; nothing here raises.
+"""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+from deploy.safety.reasons import Reason
+
+BRIDGED = 2
+"""Age of a position up to which it still controls, extrapolated [cycles]."""
+HELD = 20
+"""Age up to which gravity is still compensated at the last positions [cycles]; beyond it the arm is let go."""
+TOUCHED = 3
+"""Cycles in a row above the contact threshold that make a contact."""
+
+
+class State(StrEnum):
+    """Of the arm."""
+
+    IDLE = "idle"
+    ARMED = "armed"
+    APPROACH = "approach"
+    CONTACT = "contact"
+    RETRACT = "retract"
+    STOPPED = "stopped"
+    FAULT = "fault"
+
+
+class Task(StrEnum):
+    """What the torques of a cycle are for."""
+
+    OFF = "off"
+    """None; the pucks are sent to idle."""
+    GRAVITY = "gravity"
+    """Only hold the arm's weight at the last known angles."""
+    HOLD = "hold"
+    APPROACH = "approach"
+    CONTROL = "control"
+    RETRACT = "retract"
+
+
+class Seen(NamedTuple):
+    """What a cycle saw, as far as it may change the state."""
+
+    hazard: Reason = Reason.NONE
+    """The arm cannot or must not be driven: e-stop, pendant, puck, bus, a stall, a refused frame."""
+    position_age: int = 0
+    """Of the oldest position [cycles]."""
+    danger: Reason = Reason.NONE
+    """The arm is beyond a limit: holding it is still right, moving on is not."""
+    doubt: Reason = Reason.NONE
+    """The force cannot be trusted or is too high, or the computer is late: contact must end."""
+    detail: str = ""
+    """What of it, as the joint whose position is missing."""
+    active: bool = False
+    """The pendant has activated the pucks."""
+    touching: bool = False
+    """The force along the contact normal is above its threshold."""
+    travelled: bool = False
+    """The approach or the retraction has gone as far as it may."""
+    armed: bool = True
+    """The operator has armed."""
+    start: bool = True
+    """The operator lets the approach begin."""
+    finish: Reason = Reason.NONE
+    """The operator, or the end of the experiment, asks to stop."""
+
+
+class Situation(NamedTuple):
+    """State, since when, and why."""
+
+    state: State = State.IDLE
+    reason: Reason = Reason.NONE
+    detail: str = ""
+    cycles: int = 0
+    """Spent in this state."""
+    touched: int = 0
+    """Of them the last in a row that touched."""
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing leads on from here."""
+        return self.state in (State.STOPPED, State.FAULT)
+
+
+_TASKS = {
+    State.IDLE: Task.OFF,
+    State.ARMED: Task.HOLD,
+    State.APPROACH: Task.APPROACH,
+    State.CONTACT: Task.CONTROL,
+    State.RETRACT: Task.RETRACT,
+    State.STOPPED: Task.HOLD,
+    State.FAULT: Task.GRAVITY,
+}
+
+
+def step(now: Situation, seen: Seen) -> Situation:
+    """The situation of a cycle.
+
+    Args:
+        now: That of the last one.
+        seen: What this cycle saw; the gravest of it decides.
+    """
+    state, reason = _next(now, seen)
+    if state is now.state and reason is now.reason:
+        return now._replace(cycles=now.cycles + 1, touched=now.touched + 1 if seen.touching else 0)
+    return Situation(state, reason, now.detail if reason is now.reason else seen.detail)
+
+
+def task_of(now: Situation, position_age: int) -> Task:
+    """What to do in a situation with positions of this age [cycles]."""
+    if now.reason.lets_go or position_age > HELD:
+        return Task.OFF
+    task = _TASKS[now.state]
+    return Task.GRAVITY if position_age > BRIDGED and task is not Task.OFF else task
+
+
+def _next(now: Situation, seen: Seen) -> tuple[State, Reason]:
+    state, reason = now.state, now.reason
+    found = _gravest(seen)
+    if state is State.FAULT:
+        # Only what lets the arm go may replace a reason to hold it.
+        return (state, found) if found.lets_go and not reason.lets_go else (state, reason)
+    if state is State.IDLE:
+        return (
+            (State.ARMED, Reason.NONE)
+            if seen.armed and found is Reason.NONE and seen.position_age == 0
+            else (state, reason)
+        )
+    if found is not Reason.NONE:
+        return State.FAULT, found
+    leave = seen.doubt if seen.doubt is not Reason.NONE else seen.finish
+    if state is State.ARMED:
+        if leave is not Reason.NONE:
+            return State.STOPPED, leave
+        return (State.APPROACH, reason) if seen.active and seen.start else (state, reason)
+    if state in (State.APPROACH, State.CONTACT) and leave is not Reason.NONE:
+        return State.RETRACT, leave
+    if state is State.APPROACH:
+        if seen.touching and now.touched + 1 >= TOUCHED:
+            return State.CONTACT, reason
+        return (State.RETRACT, Reason.NO_CONTACT) if seen.travelled else (state, reason)
+    if state is State.RETRACT and seen.travelled:
+        return State.STOPPED, reason
+    return state, reason
+
+
+def _gravest(seen: Seen) -> Reason:
+    """What makes a fault, if anything does."""
+    if seen.hazard is not Reason.NONE:
+        return seen.hazard
+    if seen.position_age > HELD:
+        return Reason.POSITION_LOST
+    if seen.danger is Reason.NONE and seen.position_age > BRIDGED:
+        return Reason.POSITION_OLD
+    return seen.danger

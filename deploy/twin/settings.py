@@ -1,0 +1,130 @@
+"""Which arm, heart, sensor and bus the twin is; the defaults are the nominal imperfect arm of table-1-wam.toml."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from jaxmpc.errors import InputError, nearest
+from jaxmpc.world import drive, friction, tissue
+from jaxmpc.world.arm import TOOL_MASS
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+Rotation = tuple[Three, Three, Three]
+
+RHYTHMS = (
+    "harmonics",
+    "none",
+    "steady",
+    "variability",
+    "rate-step",
+    "premature",
+    "bigeminy",
+    "fibrillation",
+    "ventilator-hold",
+    "cough",
+    "amplitude-drift",
+)
+"""The seven peaks of the paper's Fig. 4, a heart at rest, and the rhythms of the published experiments."""
+HOME: Four = (0.0, -2.0, 0.0, 3.13)
+"""Where the arm stands when it is switched on, libbarrett's home [rad]."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Plain data; everything random is drawn from `seed`."""
+
+    stiffness: float = 810.0
+    """Of the tissue [N/m]."""
+    tissue: str = "elastic"
+    """One of `jaxmpc.world.tissue.KINDS`."""
+    attached: bool = True
+    """Whether the tissue, once touched, holds the tip as the paper's stabiliser does; else the tip can lift."""
+    pull_off: float = 8.0
+    """Pull at which an attached tip comes off [N] (chosen here: above the +2 N of Fig. 3b)."""
+    rhythm: str = "harmonics"
+    """One of `RHYTHMS`."""
+    scale: float = 1.0
+    """Factor on the heart's motion [-]."""
+    start: float = 0.0
+    """When the heart begins to move [s]."""
+    fade: float = 1.0
+    """Time in which its motion grows to full size [s]."""
+    posture: Four = (0.0, 0.7, 0.0, 2.2)
+    """Joint angles at which the tip touches the resting heart [rad]."""
+    gap: float = 0.02
+    """How far above that the tip starts [m]; 0 starts in contact."""
+    mass_scale: float = 1.0
+    """Masses and inertias of the links over the nominal ones [-]."""
+    tool_mass: float = TOOL_MASS
+    """Tool and sensor at the tip [kg]."""
+    coulomb: Four = (2.025, 2.25, 1.125, 0.66)
+    """Coulomb friction of the joints [N m]."""
+    presliding: float = friction.PRESLIDING
+    """Deflection over which it builds up [rad]."""
+    viscous: Four = (1.5, 0.9, 0.5, 0.25)
+    """Viscous friction of the joints [N m s/rad]."""
+    delay: int = 1
+    """Samples from a torque frame to its action."""
+    substeps: int = 2
+    """Physics steps per millisecond."""
+    noise: float = 0.010
+    """Of the force sensor, per axis and sample [N]."""
+    lsb: Three = (0.0061, 0.0061, 0.0122)
+    """Its resolution [N], before the int16/256 N of its frames."""
+    lowpass_hz: float = 0.0
+    """Its low-pass [Hz]; 0 is none."""
+    beyond_sensor: float = 0.0
+    """Mass beyond it, whose inertia and (until tared) weight it reads [kg]."""
+    bias: Three = (0.0, 0.0, 0.0)
+    """What it reads without force until it is tared [N]."""
+    tare_s: float = 1.0
+    """How long a tare takes [s]; its outputs are 0 meanwhile."""
+    mount: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    """Rotation from the sensor's axes to those of `frame`."""
+    frame: str = "world"
+    """"world": the sensor keeps its direction, as in the simulator; "tool": it turns with the forearm."""
+    counts: int = 4096
+    """CTS, encoder counts per motor turn."""
+    ipnm: Four = (drive.IPNM,) * 4
+    """Torque units per newton metre of each motor [1/(N m)]."""
+    max_torque: Four = (4860.0, 4860.0, 4860.0, 4320.0)
+    """MT, the pucks' torque cap [units]."""
+    heartbeat_s: float = 0.1
+    """Silence after which an active safety module falls idle [s]; the maker publishes none, OpenWAM says below 0.1."""
+    cold: bool = False
+    """Just switched on: at home, pucks in reset, positions lost; else homed, awake, above the heart."""
+    bit_rate: float = 0.0
+    """Of the bus [bit/s], for replies that take their time on the wire; 0 sends them at once."""
+    seed: int = 0
+    faults: tuple[str, ...] = ()
+    """See `deploy.twin.faults`."""
+
+    def __post_init__(self) -> None:
+        _one_of("tissue", self.tissue, tissue.KINDS)
+        _one_of("rhythm", self.rhythm, RHYTHMS)
+        _one_of("frame", self.frame, ("world", "tool"))
+        _within("stiffness", self.stiffness, 1.0, 1e5)
+        _within("delay", self.delay, 0, 10)
+        _within("substeps", self.substeps, 1, 64)
+        _within("gap", self.gap, 0.0, 0.3)
+        _within("counts", self.counts, 16, 2**20)
+        for name in ("mass_scale", "presliding", "pull_off", "heartbeat_s"):
+            _within(name, getattr(self, name), 1e-6, 1e6)
+        for name in ("scale", "start", "fade", "tool_mass", "noise", "lowpass_hz", "beyond_sensor", "tare_s"):
+            _within(name, getattr(self, name), 0.0, 1e6)
+        _within("seed", self.seed, 0, 2**63 - 1)
+        _within("bit_rate", self.bit_rate, 0.0, 1e7)
+        for name in ("posture", "coulomb", "viscous", "lsb", "bias", "ipnm", "max_torque"):
+            for value in getattr(self, name):
+                _within(name, value, -100.0 if name in ("posture", "bias") else 0.0, 8191.0)
+
+
+def _one_of(key: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise InputError(key, value, "a known name", nearest(value, list(known)))
+
+
+def _within(key: str, value: Any, low: float, high: float) -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise InputError(key, value, f"in [{low:g}, {high:g}]", "Choose another value.")

@@ -1,0 +1,230 @@
+"""The arm and the heart of the twin: C MuJoCo for the links, the simulator's own friction, tissue and heart.
+
+A millisecond is `substeps` semi-implicit Euler steps h, each as `jaxmpc.world.robot` makes it with "euler":
+
+    (M + h D) q̈ = τ − f(q̇) − Jᵀ y(d, ḋ) − c − D q̇,  q̇' = q̇ + h q̈,  q' = q + h q̇'
+
+with friction f, force y on the tissue and the deflection d = x_tip − x_heart at the beginning of the step. An idle puck
+shorts its motor through the windings, viscous friction of Kt²/R at the motor: with it the arm sinks, it is not held.
+Until the first torque acts, somebody holds the arm.
+"""
+
+import math
+from collections import deque
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deploy.twin.gauge import Gauge
+from deploy.twin.heart import Heart
+from deploy.twin.settings import HOME, Four, Settings, Three
+from deploy.twin.straight import friction_step, joint_torques
+from deploy.twin.touch import Touch
+from jaxmpc.world import drive, friction
+from jaxmpc.world.arm import mjcf, tip_at
+
+TICK = 1e-3
+"""[s]"""
+WINDING, TORQUE_CONSTANT = 3.473, 0.457
+"""Of the motors [Ω] and [N m/A] (Barrett's wiki)."""
+STOP_STIFFNESS = 3000.0
+"""Of the rubber at the joints' ends [N m/rad] (chosen here)."""
+
+
+class Truth(NamedTuple):
+    """What no controller can know."""
+
+    time: float
+    """[s]"""
+    q: Four
+    """Joint angles [rad]."""
+    qd: Four
+    """[rad/s]"""
+    tip: Three
+    """Position of the tip in the shoulder frame [m]."""
+    tip_velocity: Three
+    """[m/s]"""
+    heart: Three
+    """Displacement of the heart's surface [m]."""
+    force: Three
+    """Force on the tissue [N]."""
+    measured: Three
+    """The same behind sensor and noise [N]."""
+    torque: Four
+    """Joint torque of the motors in the last millisecond [N m]."""
+    touching: bool
+
+
+class World:
+    """Everything but electronics."""
+
+    def __init__(self, settings: Settings) -> None:
+        import mujoco
+
+        self._settings, self._mujoco = settings, mujoco
+        self._model = _model(settings)
+        self._data = mujoco.MjData(self._model)
+        self._site = self._model.site("tip").id
+        self._jacobian = np.zeros((3, self._model.nv))
+        self._h = TICK / settings.substeps
+        self._model.opt.timestep = self._h
+        self._at = self._data.site_xpos[self._site]
+        self._braked: tuple[bool, ...] = ()
+        self._coupling, self._coupled = np.zeros((4, 4)), False
+        self._low, self._high = (tuple(row) for row in self._model.jnt_range.T.tolist())
+        self._rub = friction_step(settings, self._h)
+        moving = settings.rhythm, self._h, settings.seed, settings.scale, settings.start, settings.fade
+        self._heart = Heart(*moving)
+        self._touch = Touch(settings, _three(tip_at(settings.posture)))
+        self.posture = _raised(settings.posture, settings.gap)
+        """Joint angles above the heart [rad]."""
+        self._gauge = Gauge(settings)
+        self._instant = 0
+        self._acting: Four = (0.0, 0.0, 0.0, 0.0)
+        self._pending = deque([self._acting] * settings.delay)
+        self._held = True
+        self.place(HOME if settings.cold else self.posture)
+        self._touch.begin(settings.gap == 0.0 and not settings.cold)
+        self._sense()
+
+    @property
+    def q(self) -> Four:
+        """Joint angles [rad]."""
+        return self._q
+
+    @property
+    def measured(self) -> Three:
+        """What the force sensor reads of the force on the tissue, in the world's axes [N]."""
+        return self._measured
+
+    @property
+    def orientation(self) -> np.ndarray:
+        """Rotation from the tool's axes to the world's, shape (3, 3)."""
+        turned: np.ndarray = self._data.site_xmat[self._site].reshape(3, 3)
+        return turned
+
+    def place(self, q: Four, seconds: float = 0.0) -> None:
+        """Somebody carries the arm to joint angles [rad], in some seconds, and holds it until the next torque acts."""
+        self._held = True
+        self._way = [_between(self._q, q, k * TICK / seconds) for k in range(round(seconds / TICK), 0, -1)]
+        if not self._way:
+            self._hold(q)
+
+    def _hold(self, q: Four) -> None:
+        self._data.qpos[:], self._data.qvel[:] = q, 0.0
+        self._bristles = friction.init(0.0)
+        self._touch.begin(False)
+        self._settle()
+
+    def advance(self, motor: Four, braked: tuple[bool, ...]) -> None:
+        """Advance by one millisecond.
+
+        Args:
+            motor: Torque of each motor commanded before now; it acts `delay` milliseconds later [N m].
+            braked: Which motors are shorted, whatever the torque.
+        """
+        self._pending.append(motor)
+        acting = self._pending.popleft()
+        driven = tuple(0.0 if short else tau for tau, short in zip(acting, braked, strict=True))
+        self._acting = joint_torques(driven)
+        self._held = self._held and not any(driven)
+        if braked != self._braked:
+            self._brake(braked)
+        if self._held and self._way:
+            self._hold(self._way.pop())
+        for _ in range(self._settings.substeps):
+            self._substep()
+        self._sense()
+
+    def truth(self) -> Truth:
+        """The state at this moment."""
+        state = self._instant * self._h, self._q, self._qd, self._tip, self._speed, self._surface
+        return Truth(*state, self._force, self._measured, self._acting, self._touch.touching)
+
+    def _brake(self, braked: tuple[bool, ...]) -> None:
+        """Friction of shorted motors at the joints, Tᵀ diag(Kt²/R) T; one of motors 2 and 3 alone couples J2 and J3."""
+        T: np.ndarray = np.array(drive.JOINT_TO_MOTOR)
+        friction = TORQUE_CONSTANT**2 / WINDING * T.T @ np.diag(np.array(braked, float)) @ T
+        self._braked, self._coupling = braked, friction - np.diag(np.diag(friction))
+        self._coupled = bool(self._coupling.any())
+        self._model.dof_damping[:] = self._settings.viscous + np.diag(friction)
+
+    def _substep(self) -> None:
+        data = self._data
+        force = self._press(self._h)
+        if not self._held:
+            self._bristles, rubbing = self._rub(self._bristles, self._qd)
+            stops = map(_stop, self._q, self._low, self._high)
+            driven = [tau - f + s for tau, f, s in zip(self._acting, rubbing, stops, strict=True)]
+            data.qfrc_applied[:] = driven - np.array(force) @ self._jacobian
+            if self._coupled:
+                data.qfrc_applied[:] -= self._coupling @ data.qvel
+            self._mujoco.mj_step2(self._model, data)
+        self._instant += 1
+        self._settle()
+
+    def _settle(self) -> None:
+        """Everything that follows from the present angles and velocities and from the heart."""
+        self._mujoco.mj_step1(self._model, self._data)
+        self._mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, self._site)
+        self._q, self._qd = _four(self._data.qpos), _four(self._data.qvel)
+        self._tip, self._speed = _three(self._at), _three(self._jacobian @ self._data.qvel)
+        self._surface, self._rate = self._heart.at(self._instant)
+
+    def _press(self, h: float) -> Three:
+        return self._touch.press(self._tip, self._speed, self._surface, self._rate, h)
+
+    def _sense(self) -> None:
+        self._force = self._press(0.0)
+        self._measured = self._gauge.read(self._force, self._speed)
+
+
+def _model(settings: Settings) -> Any:
+    """The arm of the MJCF alone: the heart is a force, and shapes are for the eye."""
+    import mujoco
+
+    spec = mujoco.MjSpec.from_string(mjcf())
+    spec.delete(spec.body("heart"))
+    for geom in list(spec.geoms):
+        spec.delete(geom)
+    compiled = spec.compile()
+    tool = compiled.body("tool").id
+    compiled.body_mass[1:] *= settings.mass_scale
+    compiled.body_inertia[1:] *= settings.mass_scale
+    compiled.body_mass[tool] = settings.tool_mass
+    mujoco.mj_setConst(compiled, mujoco.MjData(compiled))
+    return compiled
+
+
+def _raised(posture: Four, gap: float) -> Four:
+    """The nearest joint angles with the tip so much higher [rad], by Gauss and Newton."""
+    from jaxmpc.law.chain import pose, tip
+    from jaxmpc.world.arm import chain
+
+    q, wanted = np.array(posture), tip_at(posture) + np.array([0.0, 0.0, gap])
+    for _ in range(20 if gap else 0):
+        found = tip(chain(), pose(chain(), tuple(q.tolist()), math))
+        q = q + np.linalg.pinv(np.array(found.jacobian)) @ (wanted - found.position)
+    return _four(q)
+
+
+def _between(begin: Four, end: Four, share: float) -> Four:
+    """A point of a smooth way from one posture to another."""
+    s = share * share * (3.0 - 2.0 * share)
+    a, b, c, d = ((1.0 - s) * x + s * y for x, y in zip(begin, end, strict=True))
+    return a, b, c, d
+
+
+def _stop(angle: float, low: float, high: float) -> float:
+    """Torque of the joint's mechanical stop [N m]."""
+    return STOP_STIFFNESS * (low - angle if angle < low else high - angle if angle > high else 0.0)
+
+
+def _three(values: Any) -> Three:
+    a, b, c = values.tolist()
+    return a, b, c
+
+
+def _four(values: Any) -> Four:
+    a, b, c, d = values.tolist()
+    return a, b, c, d

@@ -1,0 +1,98 @@
+"""Questions and orders to single nodes, one after the other, before the cycle begins."""
+
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+from deploy.bus import Bus
+from deploy.errors import BusError
+from deploy.puck.codec import Position, PropertyReply, decode, get, set_value
+from deploy.puck.frame import Frame
+
+NS: Final = 1_000_000_000
+TRIES: Final = 3
+"""Times that a question is asked: one frame may be lost."""
+
+
+class Clock(Protocol):
+    """The loop's clock: the monotonic one, or that of a twin in lock-step."""
+
+    def now(self) -> int:
+        """Time [ns]."""
+        ...
+
+    def wait_until(self, deadline_ns: int) -> object:
+        """Let time pass until then [ns]."""
+        ...
+
+
+class Dialogue:
+    """Asks, and keeps every answer that comes, however late.
+
+    Attributes:
+        properties: Last answer by node and property.
+        positions: Last position by node [counts].
+    """
+
+    def __init__(self, bus: Bus, clock: Clock) -> None:
+        """Begin on a bus that nobody else reads."""
+        self.bus, self.clock = bus, clock
+        self.properties: dict[tuple[int, int], int] = {}
+        self.positions: dict[int, int] = {}
+
+    def tell(self, frame: Frame) -> None:
+        """Send a frame.
+
+        Raises:
+            BusError: The bus does not take it.
+        """
+        if not self.bus.send(frame):
+            remedy = "check that the arm is powered, the cable and its 120 Ω terminators, and 1 Mbit/s at the adapter"
+            raise BusError(f"the bus takes no frames (it is {self.bus.state}): {remedy}; then start again")
+
+    def order(self, node: int, number: int, value: int, then_s: float = 0.0) -> None:
+        """Set a property, then let some time pass [s]."""
+        self.tell(set_value(node, number, value))
+        self.listen(then_s)
+
+    def ask(self, node: int, number: int, timeout_s: float = 0.05) -> int | None:
+        """A node's property, None if it does not answer in time, `TRIES` times."""
+        self.properties.pop((node, number), None)
+        for _ in range(TRIES):
+            self.tell(get(node, number))
+            deadline = self.clock.now() + int(timeout_s * NS)
+            while (node, number) not in self.properties and self.clock.now() < deadline:
+                self._listen_once(deadline)
+            if (node, number) in self.properties:
+                return self.properties[node, number]
+        return None
+
+    def ask_positions(self, question: Frame, nodes: Sequence[int], timeout_s: float = 0.05) -> list[int] | None:
+        """The positions of all these nodes [counts], None if one of them does not answer."""
+        for _ in range(TRIES):
+            self.positions.clear()
+            self.tell(question)
+            deadline = self.clock.now() + int(timeout_s * NS)
+            while not self.positions.keys() >= set(nodes) and self.clock.now() < deadline:
+                self._listen_once(deadline)
+            if self.positions.keys() >= set(nodes):
+                return [self.positions[node] for node in nodes]
+        return None
+
+    def listen(self, duration_s: float) -> None:
+        """Send nothing for a while [s], and keep what is said."""
+        deadline = self.clock.now() + int(duration_s * NS)
+        while self.clock.now() < deadline:
+            self._listen_once(deadline)
+
+    def _listen_once(self, deadline: int) -> None:
+        """Take one frame, or let at most a millisecond pass."""
+        step = min(self.clock.now() + NS // 1000, deadline)
+        got = self.bus.receive((step - self.clock.now()) / NS)
+        if got is None:
+            self.clock.wait_until(step)  # at once, unless the bus itself does not let time pass
+            return
+        reply = decode(got[0])
+        if isinstance(reply, PropertyReply):
+            self.properties[reply.node, reply.property] = reply.value
+        elif isinstance(reply, Position):
+            self.positions[reply.node] = reply.counts

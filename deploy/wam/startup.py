@@ -1,0 +1,238 @@
+"""From a powered arm to one that answers in cycles: wam.md §3.4, step by step, nothing assumed and nothing moved.
+
+The pendant activates, never this: everything here leaves the pucks idle.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import floor, pi
+from typing import Final
+
+from deploy.bus import Bus
+from deploy.errors import BusError, CalibrationError
+from deploy.force.sensor import ForceSensor
+from deploy.limits import MECHANICAL_STOPS
+from deploy.puck import properties
+from deploy.puck.codec import GROUPS, PUCKS, SAFETY_MODULE, SENSOR, get
+from deploy.puck.pendant import decode_pendant
+from deploy.wam.arm import Arm
+from deploy.wam.dialogue import NS, Clock, Dialogue
+from deploy.wam.pucks import Four, PuckInfo, Pucks
+from jaxmpc.law.scalar import apply
+from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
+
+HOME: Final[Four] = (0.0, -2.0, 0.0, 3.13)
+"""Joint angles of libbarrett's home position [rad]."""
+IGNORED_VELOCITIES: Final = 5
+"""Entries of the safety module's velocity history that are void while positions jump (libbarrett)."""
+STOP_TOLERANCE: Final = 0.19
+"""Half a turn of the motor that turns its joint furthest [rad]: what homing can be wrong by (wam.md §1.3)."""
+NAMES: Final = {SAFETY_MODULE: "the safety module", SENSOR: "the force sensor"}
+STAT, VERS, ROLE, MODE = 5, 0, 1, 8
+"""Numbers that are the same in every firmware."""
+
+
+def startup(
+    bus: Bus,
+    clock: Clock,
+    sensor: ForceSensor,
+    home: bool = False,
+    home_angles: Sequence[float] = HOME,
+    zero_angles: Sequence[float] | None = None,
+    patience_s: float = 0.0,
+    report: Callable[[str], None] = lambda sentence: None,
+) -> Arm:
+    """Wake the pucks, read what they are, and make sure that the arm knows where it is.
+
+    Args:
+        bus: With nobody else on it who commands.
+        clock: That the bus's stamps come from.
+        sensor: Of the force, `Mounted`.
+        home: The operator says that the arm stands at home. Only then, and only where the arm does not know its
+            position, that is set.
+        home_angles: Where it then stands (4,) [rad].
+        zero_angles: Motor angles of the zero calibration (4,) [rad], to correct home by the absolute encoders.
+        patience_s: How long to wait for the operator to press Shift-idle on the pendant [s].
+        report: Takes what happens, in sentences.
+
+    Returns:
+        The arm, idle. Its cycles are to begin at once: the safety module wants traffic before it is activated.
+
+    Raises:
+        BusError: Somebody does not answer, reports a fault, or is in the wrong state.
+        CalibrationError: What the pucks say cannot be right, or the arm does not know where it is.
+    """
+    bus.flush()
+    bus.listen_to(range(1, 32))
+    talk = Dialogue(bus, clock)
+    status = _enumerate(talk)
+    asked = {frame.id & 0x1F for frame in sensor.request()}
+    safety_version = _idle_safety_module(talk, status, patience_s, report)
+    safety = partial(properties.number, kind="safety", version=safety_version)
+    _no_faults(talk, safety("PEN"))
+    if any(node not in status for node in (*PUCKS, *asked)):  # they may have come up while the operator was waited for
+        status = _enumerate(talk)
+    for node in (*PUCKS, *sorted(asked)):
+        if node not in status:
+            remedy = "check its cable and its light" if node == SENSOR else "check its light and cable in the arm"
+            raise BusError(f"{_name(node)} does not answer: {remedy}, and that no other node has its number")
+    if more := [node for node in (5, 6, 7) if node in status]:
+        raise BusError(f"puck {more[0]} answers too: this is a WAM with 7 joints, and only one with 4 is driven here")
+    for name in ("VL1", "VL2", "TL1", "TL2"):
+        for command in ("DEF", "LOAD"):
+            talk.order(SAFETY_MODULE, safety(command), safety(name), then_s=0.01)
+    for name in ("VL2", "TL2"):
+        if not _must(talk, SAFETY_MODULE, safety(name)) > 0:
+            raise CalibrationError(f"the safety module never faults ({name} = 0): set its limits with btutil")
+    _wake(talk, status, (*PUCKS, *asked), report)
+    talk.order(GROUPS["wam"], MODE, properties.MODE_IDLE, then_s=0.01)
+    pucks = Pucks(tuple(_read_puck(talk, node) for node in PUCKS))
+    ignore = partial(talk.order, SAFETY_MODULE, safety("IFAULT"), IGNORED_VELOCITIES, 0.01)
+    question = get(GROUPS["wam"], pucks.number("P"))
+    if _must(talk, SAFETY_MODULE, safety("ZERO")) != 1:
+        if not home:
+            raise CalibrationError(
+                "the arm does not know where it is (ZERO is not set): fold it to its home position by hand, "
+                "then start again and say so (--home)"
+            )
+        ignore()
+        counts = pucks.counts(_home(talk, pucks, home_angles, zero_angles))
+        for info, count in zip(pucks.infos, counts, strict=True):
+            talk.order(info.node, info.number("P"), count, then_s=0.001)
+        talk.order(SAFETY_MODULE, safety("ZERO"), 1, then_s=0.015)
+        now = talk.ask_positions(question, pucks.nodes)
+        zeroed = _must(talk, SAFETY_MODULE, safety("ZERO")) == 1
+        near = now is not None and all(
+            abs(a - b) < info.counts_per_turn // 8 for a, b, info in zip(now, counts, pucks.infos, strict=True)
+        )
+        if not (zeroed and near):
+            raise CalibrationError("the home position was not taken: hold the arm still and start again")
+        report("home position set")
+    elif home:
+        report("the arm knows its position already: home was not set again")
+    ignore()
+    counts_now = talk.ask_positions(question, pucks.nodes)
+    if counts_now is None:
+        missing = next(node for node in pucks.nodes if node not in talk.positions)
+        raise BusError(f"puck {missing} does not tell its position when all are asked: check its GRPC (4) with btutil")
+    _within_stops(pucks.angles(counts_now))
+    if bus.counters.hosts:
+        raise BusError("somebody else commands on this bus: stop the other program, then start again")
+    bus.listen_to((*PUCKS, *asked, SAFETY_MODULE))
+    report(f"started: firmware {', '.join(str(info.version) for info in pucks.infos)}, IPNM {pucks.ipnm}")
+    return Arm(bus, pucks, sensor, counts_now, safety_version)
+
+
+def _enumerate(talk: Dialogue) -> dict[int, int]:
+    """STAT of every node that answers."""
+    for node in range(1, 32):
+        talk.tell(get(node, STAT))
+        talk.listen(0.001)
+    talk.listen(0.05)
+    found = {node: value for (node, number), value in talk.properties.items() if number == STAT}
+    # a lost frame is no missing node
+    for node in (*PUCKS, SENSOR, SAFETY_MODULE):
+        if node not in found and found and (value := talk.ask(node, STAT, 0.005)) is not None:
+            found[node] = value
+    if not found:
+        remedy = "check that the arm is powered and the e-stop released, the cable with its terminators, and 1 Mbit/s"
+        raise BusError(f"nobody answers on this bus: {remedy}")
+    return found
+
+
+def _idle_safety_module(
+    talk: Dialogue, status: dict[int, int], patience_s: float, report: Callable[[str], None]
+) -> int:
+    """Wait until the safety module is idle; its firmware's version."""
+    if SAFETY_MODULE not in status:
+        raise BusError("the safety module does not answer: check its cable and that it has power")
+    version = _must(talk, SAFETY_MODULE, VERS)
+    role = _must(talk, SAFETY_MODULE, ROLE) & 0x1F
+    if role != properties.ROLES.index("safety"):
+        raise BusError(f"node {SAFETY_MODULE} is no safety module (role {role}): check who is on this bus")
+    deadline = talk.clock.now() + int(patience_s * NS)
+    told = None
+    while (mode := _must(talk, SAFETY_MODULE, MODE)) != properties.SAFETY_IDLE:
+        said = {
+            properties.SAFETY_E_STOP: "in e-stop: release the e-stop and press Shift-idle on the pendant",
+            properties.SAFETY_ACTIVE: "active: press Shift-idle on the pendant",
+        }.get(mode, f"in the unknown mode {mode}: switch the arm off and on")
+        if talk.clock.now() >= deadline:
+            raise BusError(f"the safety module is {said}, then start again")
+        if mode != told:
+            report(f"waiting, for the safety module is {said}")
+            told = mode
+        talk.listen(0.25)
+    return version
+
+
+def _no_faults(talk: Dialogue, pen: int) -> None:
+    faults = decode_pendant(_must(talk, SAFETY_MODULE, pen)).faults
+    if faults:
+        shown = " and ".join(faults)
+        raise BusError(
+            f"the pendant shows a FAULT of {shown}: find its cause, clear it by Shift-idle, then start again"
+        )
+
+
+def _wake(talk: Dialogue, status: dict[int, int], nodes: Sequence[int], report: Callable[[str], None]) -> None:
+    """Wake who is in its monitor, silently: a transceiver coming up can throw the host off the bus."""
+    asleep = [node for node in nodes if status[node] == properties.STAT_RESET]
+    for node in asleep:
+        talk.order(node, STAT, properties.STAT_READY, then_s=0.01)
+    if asleep:
+        report(f"waking {', '.join(map(_name, asleep))}")
+        talk.listen(1.0)
+    for node in nodes:
+        if (now := _must(talk, node, STAT)) != properties.STAT_READY:
+            what = "reports an error" if now == properties.STAT_ERROR else "does not wake"
+            raise BusError(f"{_name(node)} {what} (STAT {now}): switch the arm off and on; if it stays, ask btutil")
+
+
+def _read_puck(talk: Dialogue, node: int) -> PuckInfo:
+    version, role = _must(talk, node, VERS), _must(talk, node, ROLE)
+    number = partial(properties.number, kind="motor", version=version)
+    group = _must(talk, node, number("GRPB"))
+    if group != GROUPS["torque"] & 0x1F:
+        raise CalibrationError(f"puck {node} listens to torques of group {group}, not 1: set its GRPB with btutil")
+    pidx, cts, ipnm, mt = (_must(talk, node, number(name)) for name in ("PIDX", "CTS", "IPNM", "MT"))
+    return PuckInfo(node, pidx, version, role, cts, ipnm, mt)
+
+
+def _home(talk: Dialogue, pucks: Pucks, home: Sequence[float], zero: Sequence[float] | None) -> Sequence[float]:
+    """Joint angles of home, corrected by where the absolute encoders stand in their turn.
+
+        home − M wrap(T home + zero − 2π MECH/CTS)
+
+    Raises:
+        CalibrationError: A puck cannot tell that.
+    """
+    if zero is None:
+        return home
+    errors = []
+    for info, motor, angle in zip(pucks.infos, apply(JOINT_TO_MOTOR, tuple(map(float, home))), zero, strict=True):
+        if info.version < 118 or not info.role & properties.ROLE_ABSOLUTE_ENCODER:
+            remedy = "start without a zero calibration"
+            raise CalibrationError(f"puck {info.node} has no absolute encoder, or firmware before 118: {remedy}")
+        mech = _must(talk, info.node, info.number("MECH"))
+        error = motor + angle - 2.0 * pi * mech / info.counts_per_turn
+        errors.append(error - 2.0 * pi * floor(error / (2.0 * pi) + 0.5))
+    return [angle - error for angle, error in zip(home, apply(MOTOR_TO_JOINT, tuple(errors)), strict=True)]
+
+
+def _within_stops(angles: Four) -> None:
+    for joint, (angle, (low, high)) in enumerate(zip(angles, MECHANICAL_STOPS, strict=True), start=1):
+        if not low - STOP_TOLERANCE <= angle <= high + STOP_TOLERANCE:
+            said = f"joint {joint} says {angle:.2f} rad, beyond its stops at {low} and {high}"
+            raise CalibrationError(f"{said}: the home position was wrong, press the e-stop, release it and home again")
+
+
+def _must(talk: Dialogue, node: int, number: int) -> int:
+    value = talk.ask(node, number)
+    if value is None:
+        raise BusError(f"{_name(node)} stopped answering (property {number}): check its cable and that it has power")
+    return value
+
+
+def _name(node: int) -> str:
+    return NAMES.get(node, f"puck {node}")

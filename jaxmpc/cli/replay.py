@@ -1,0 +1,128 @@
+"""`jaxmpc replay`: a flight recording through the runtime, and where jax is installed through the simulator's law."""
+
+import argparse
+import hashlib
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxmpc.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from deploy.artifact import Artifact
+    from deploy.recorder import Recording
+    from deploy.replay import Inputs
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument("recording", type=Path, help="a flight recording, as `jaxmpc run` writes it (.npz)")
+    parser.add_argument(
+        "--artifact", type=Path, default=Path("controller.npz"), help="the controller that flew (controller.npz)"
+    )
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw what flew over what was computed anew")
+    parser.add_argument("--tolerance", type=float, default=1e-9, help="share of the largest value (1e-9)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay; 0: the same within the tolerance, 1: they part.
+
+    Raises:
+        InputError: The recording or the controller is not what it must be, or they do not belong together.
+    """
+    from deploy.artifact import ArtifactError, load
+    from deploy.recorder import RecordingError, read
+    from deploy.replay import compare, inputs_of, table, through_runtime
+
+    if not 0.0 < args.tolerance < 1.0:
+        raise InputError("--tolerance", args.tolerance, "in (0, 1)", "Rounding stays below 1e-12.")
+    try:
+        recording, artifact = read(args.recording), load(args.artifact)
+        if artifact.arm is None:
+            raise ArtifactError(f"{args.artifact}: it is of the kind {artifact.kind!r}, which drives no arm")
+        inputs = inputs_of(recording, artifact, hashlib.sha256(args.artifact.read_bytes()).hexdigest())
+    except RecordingError as error:
+        bound = "a recording of a flight with this controller"
+        raise InputError("recording", args.recording, bound, f"{error}.") from None
+    except ArtifactError as error:
+        raise InputError("--artifact", args.artifact, "the controller that flew", f"{error}.") from None
+
+    _introduce(recording, inputs)
+    again = {"runtime": through_runtime(inputs, artifact)}
+    if find_spec("jax"):
+        again["simulator's law"] = _through_jax(inputs, artifact)
+    else:
+        print("simulator's law: not compared, jax is not installed here")
+    rows = {name: compare(recording, inputs, signals, args.tolerance) for name, signals in again.items()}
+    for name, found in rows.items():
+        print(table(f"\n{name} against what flew", found))
+    everything = [row for found in rows.values() for row in found]
+    if not any(row.samples for row in everything):
+        bound = "one with at least a second of control in it"
+        raise InputError("recording", args.recording, bound, "Nothing of this one can be computed anew.")
+    parted = [row for row in everything if row.parts]
+    if args.picture:
+        _draw(args.picture, recording, inputs, again)
+        print(f"\npicture: {args.picture}")
+    if parted:
+        first = min(parted, key=lambda row: row.first)
+        print(f"\nthey part: first {first.signal} at {first.first:.3f} s, by {first.by:.3g} {first.unit}")
+    else:
+        print("\nthe same, within the tolerance")
+    return 1 if parted else 0
+
+
+def _introduce(recording: "Recording", inputs: "Inputs") -> None:
+    """Print what the file holds."""
+    header = recording.header
+    length = f"{len(inputs.time)} samples"
+    if len(inputs.time):
+        length += f", {inputs.time[0]:.3f} to {inputs.time[-1]:.3f} s"
+    print(f"recording: {length}, {int(inputs.contact.sum())} in contact")
+    print(f"written because: {header.get('reason') or '-'}")
+    missing = int((inputs.contact & (inputs.force != inputs.force).any(axis=1)).sum())
+    if missing:
+        print(f"forces missing in contact, bridged: {missing}")
+
+
+def _through_jax(inputs: "Inputs", artifact: "Artifact") -> dict[str, "np.ndarray"]:
+    import numpy as np
+
+    from jaxmpc.flight import Flown, law_over
+    from jaxmpc.law.cascade import constant_reference
+
+    arm = artifact.arm
+    assert arm is not None
+    if not inputs.contact.any():
+        return {}
+    before = np.concatenate([np.zeros((1, 3)), inputs.a[:-1]])
+    wanted = inputs.force_ref if artifact.preview else inputs.force_ref[:, :, None]
+    # A missing force stays NaN. Anything else that is none would spread, also from where it is not chosen.
+    numbers = [np.nan_to_num(row) for row in (inputs.q, inputs.qd, wanted, inputs.applied, before)]
+    q, qd, wanted, applied, before = numbers
+    gains = artifact.gains if artifact.preview else constant_reference(artifact.gains)
+    flown = Flown(q, qd, inputs.force, wanted, applied, before, inputs.contact, inputs.enters, inputs.servo)
+    found = law_over(arm.chain, arm.nominal, arm.posture, gains, artifact.K2, arm.compensated, flown)
+    return {name: np.where(inputs.contact[:, None], values, np.nan) for name, values in found.items()}
+
+
+def _draw(path: Path, recording: "Recording", inputs: "Inputs", again: dict[str, dict[str, "np.ndarray"]]) -> None:
+    """What flew and what was computed anew, one plot a signal."""
+    from matplotlib.figure import Figure
+
+    from deploy.replay import COMPARED
+
+    figure = Figure(figsize=(9.0, 2.0 * len(COMPARED)), layout="constrained")
+    for axes, (signal, unit) in zip(figure.subplots(len(COMPARED), 1, sharex=True), COMPARED.items(), strict=True):
+        axes.plot(inputs.time, recording.signals[signal], linewidth=2.0, alpha=0.4)
+        for style, signals in zip(("k--", "r:"), again.values(), strict=False):
+            if signal in signals:
+                axes.plot(inputs.time, signals[signal], style, linewidth=0.8)
+        axes.set_ylabel(f"{signal} [{unit}]")
+    axes.set_xlabel("t [s]; wide: flown, dashed: runtime, dotted: simulator's law")
+    try:
+        figure.savefig(path)
+    except (OSError, ValueError) as error:
+        raise InputError("--picture", path, "a file that can be written", f"{error}.") from None

@@ -1,0 +1,102 @@
+"""The simulator's law over the recorded inputs of a robot: the source that JAX traces, in float64."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmpc.engine import ops
+from jaxmpc.law import cascade, compensation, computed_torque, force_control
+from jaxmpc.law.cascade import Gains
+from jaxmpc.law.chain import Chain
+from jaxmpc.law.computed_torque import Nominal
+from jaxmpc.law.scalar import Vector, add, scale
+from jaxmpc.precision import in_float64
+
+
+class Flown(NamedTuple):
+    """What the law was given, one row a sample."""
+
+    q: Any
+    """Measured joint angles (n, 4) [rad]."""
+    qd: Any
+    """Measured joint velocities (n, 4) [rad/s]."""
+    force: Any
+    """Measured force on the tissue (n, 3) [N]; NaN where it was missing."""
+    force_ref: Any
+    """Wanted force (n, 3, ahead) [N]."""
+    applied: Any
+    """Joint torques that the limits let pass (n, 4) [N m]."""
+    a: Any
+    """Acceleration asked of the tip before the sample (n, 3) [m/s²]; counts where contact is made."""
+    contact: Any
+    """Whether the law was in control (n,)."""
+    enters: Any
+    """Whether it was for the first time (n,)."""
+    servo: Any
+    """Whether the servo was, which only moves the friction's bristles (n,)."""
+
+
+@in_float64
+def law_over(
+    chain: Chain, nominal: Nominal, posture: Vector, gains: Gains, K2: float, compensated: bool, flown: Flown
+) -> dict[str, np.ndarray]:
+    """Signals of the law by their names in a trace, and `wanted`, the torques before any limit [N m].
+
+    Args:
+        chain: The arm.
+        nominal: How the controller believes it to differ.
+        posture: Joint angles of its null space [rad].
+        gains: Floats; as many weights of the reference as `force_ref` has samples ahead.
+        K2: Damping [1/s].
+        compensated: Whether friction is cancelled.
+        flown: Inputs.
+
+    Returns:
+        Arrays (n, 3) and (n, 4); where the law was not in control they mean nothing.
+    """
+
+    def one(state: force_control.State, now: Flown) -> tuple[force_control.State, dict[str, Any]]:
+        q, qd, force, applied, a = (tuple(row) for row in (now.q, now.qd, now.force, now.applied, now.a))
+        at_entry = tuple(jnp.where(jnp.isnan(y), 0.0, y) for y in force)
+        state = _chosen(now.enters, _entered(state, at_entry, q, qd, a), state)
+        predicted = tuple(cascade.estimate(blind, axis, 0.0)[0][0] for axis in state.axes)
+        known = ~jnp.any(jnp.isnan(now.force))
+        force = tuple(jnp.where(known, y, guess) for y, guess in zip(force, predicted, strict=True))
+        wanted = tuple(tuple(axis) for axis in now.force_ref)
+        following, command = force_control.step(chain, nominal, posture, gains, K2, state, q, qd, force, wanted, ops)
+        sample = {
+            "u": tuple(axis.u for axis in following.axes),
+            "v": command.v,
+            "a": command.a,
+            "p_hat": tuple(axis.p_hat for axis in following.axes),
+            "wanted": command.torque.torque,
+        }
+        if state.bristles is not None:
+            moved, _ = compensation.step(nominal.friction, state.bristles, q, qd, ops)
+            state = state._replace(bristles=_chosen(now.servo, moved, state.bristles))
+        state = _chosen(now.contact, force_control.applied(following, command, applied), state)
+        return state, {name: jnp.stack(values) for name, values in sample.items()}
+
+    def _entered(state: force_control.State, force: Vector, q: Vector, qd: Vector, a: Vector) -> force_control.State:
+        # All that was asked of the tip so far is taken for the disturbance, so that nothing jumps.
+        v = add(a, scale(K2, computed_torque.tip_velocity(chain, q, qd, ops)))
+        x, y, z = (
+            cascade.init(felt, cascade.order(gains))._replace(p_hat=-held, v=held)
+            for felt, held in zip(force, v, strict=True)
+        )
+        return state._replace(axes=(x, y, z))
+
+    blind = gains._replace(K=(0.0,) * len(gains.K))
+    flown = Flown(*map(jnp.asarray, flown))
+    q, force = tuple(flown.q[0]), jnp.nan_to_num(flown.force[0])
+    axes: Any = tuple(cascade.init(y, cascade.order(gains)) for y in force)
+    start = force_control.State(axes, compensation.init(q) if compensated else None)
+    start = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), start)
+    _, signals = jax.jit(lambda start, flown: jax.lax.scan(one, start, flown))(start, flown)
+    return {name: np.asarray(values) for name, values in signals.items()}
+
+
+def _chosen(condition: Any, yes: Any, no: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)

@@ -1,0 +1,232 @@
+"""The kind "wam" as a file: what is in it comes back, and whatever is missing or wrong has a sentence of its own."""
+
+import numpy as np
+import pytest
+
+from deploy import arm_model
+from deploy.arm_model import MEANING, ROBOT, ArmModel
+from deploy.artifact import ArtifactError, from_bytes, load, to_bytes
+from deploy.freeze import freeze
+from deploy.limits import HIGHEST, Limits
+from jaxmpc.errors import InputError
+from jaxmpc.sealed import seal, unseal
+from tests.deploy import made
+
+
+@pytest.fixture(scope="module")
+def data():
+    return to_bytes(made.arm_artifact(6))
+
+
+@pytest.fixture
+def opened(data):
+    """Header and arrays, to be changed."""
+    return unseal(data)
+
+
+def replaced(table, path, value):
+    """The same nested table with another value at a dotted path; ... removes it."""
+    key, _, rest = path.partition(".")
+    if isinstance(table, list):
+        return [replaced(each, rest, value) if str(i) == key else each for i, each in enumerate(table)]
+    inner = replaced(table[key], rest, value) if rest else value
+    return {k: v for k, v in (table | {key: inner}).items() if v is not ...}
+
+
+def refused(opened, message, path=None, value=None, **arrays):
+    header, held = opened
+    header = replaced(header, path, value) if path else header
+    with pytest.raises(ArtifactError, match=message):
+        from_bytes(seal(header, {k: v for k, v in (held | arrays).items() if v is not None}))
+
+
+@pytest.mark.parametrize("preview", [False, True])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_round_trip(preview, compensated):
+    artifact = made.arm_artifact(6, preview, compensated)
+    content = to_bytes(artifact)
+    again = from_bytes(content)
+    assert to_bytes(again) == content
+    assert again.kind == "wam"
+    for name in ("chain", "nominal", "compensated", "posture", "limits", "robot", "tool_length", "encoder_counts"):
+        assert getattr(again.arm, name) == getattr(artifact.arm, name)
+    assert all(type(x) is float for x in (*again.arm.posture, *again.arm.chain.tip, again.arm.chain.links[3].mass))
+
+
+def test_same_input_gives_the_same_bytes_however_it_is_given(tmp_path):
+    arguments = made.arm_arguments(6)
+    golden = tuple(arguments.pop(name) for name in ("golden_force", "golden_force_ref", "golden_v"))
+    arm = arguments.pop("arm")
+    arm |= {"limits": arm["limits"].plain()}
+    freeze(tmp_path / "a.npz", **arguments, golden=golden, arm=arm)
+    arm = dict(reversed(arm.items())) | {"posture": np.array(arm["posture"])}
+    arm |= {"chain": {"links": [link._asdict() for link in arm["chain"].links]} | arm["chain"]._asdict()}
+    frozen = freeze(tmp_path / "b.npz", **arguments, golden=tuple(each.tolist() for each in golden), arm=arm)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes() == to_bytes(frozen)
+
+
+def test_every_flipped_bit_and_truncation_is_refused(data):
+    flipped = bytearray(data)
+    for index in range(len(data)):
+        for bit in range(8):
+            flipped[index] ^= 1 << bit
+            with pytest.raises(ArtifactError, match="seal does not match"):
+                from_bytes(bytes(flipped))
+            flipped[index] ^= 1 << bit
+        with pytest.raises(ArtifactError, match="cut short"):
+            from_bytes(data[:index])
+
+
+@pytest.mark.parametrize("key", MEANING)
+def test_each_missing_entry_is_named_with_what_it_is_for(opened, key):
+    refused(opened, rf"arm\.{key} = missing: must be given: {MEANING[key]}", f"arm.{key}", ...)
+
+
+@pytest.mark.parametrize("key", [*HIGHEST, "joint_range", "workspace"])
+def test_each_missing_limit_is_named(opened, key):
+    refused(opened, rf"limits\.{key} = missing: must be given.*Every limit is mandatory", f"arm.limits.{key}", ...)
+
+
+@pytest.mark.parametrize("name", [*arm_model.GOLDEN, "golden_force"])
+def test_each_missing_array_is_named(opened, name):
+    refused(opened, f"it lacks the array {name}", **{name: None})
+
+
+def test_a_model_without_a_table_is_refused(opened):
+    refused(opened, "its header lacks arm", "arm", ...)
+    refused(opened, "arm = None: must be a table of robot, chain", "arm", None)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("version", 2, "newer than 1: update jaxmpc"),
+        ("kind", "wam7", "of the kind 'wam7'; this version of jaxmpc knows 'linear' and 'wam'"),
+        ("arm.robot", "Barrett WAM 7-DoF", "arm.robot = Barrett WAM 7-DoF: must be 'Barrett WAM 4-DoF'. Freeze a"),
+        ("arm.robot", None, "arm.robot = None: must be"),
+        ("arm.compensated", 1, "arm.compensated = 1: must be true or false"),
+        ("arm.encoder_counts", 4096.5, "arm.encoder_counts = 4096.5: must be a whole number"),
+        ("arm.encoder_counts", -1, "arm.encoder_counts = -1: must be a whole number"),
+        ("arm.velocity_cutoff", "fast", "arm.velocity_cutoff = fast: must be a number"),
+        ("arm.velocity_cutoff", -1.0, r"arm.velocity_cutoff = -1.0: must be in \[0, 100000\]"),
+        ("arm.tool_length", 0.35, "arm.chain = another arm: its tip is 10 mm off: must be that of a Barrett WAM"),
+        ("arm.chain.links.3.position", [0.045, 0.0, 0.5], "arm.chain = another arm: its tip is"),
+        ("arm.chain.links.0.mass", -1.0, r"arm.chain.links\[0\].mass = -1.0: must be positive"),
+        ("arm.chain.links.1.inertia", [[1, 2], [3, 4]], r"arm.chain.links\[1\].inertia = an array of shape \(2, 2\)"),
+        ("arm.chain.links.1.inertia", [[-9, 0, 0], [0, -9, 0], [0, 0, -9]], "a mass matrix that is not one"),
+        ("arm.chain.links.1.surplus", 1.0, r"arm.chain.links\[1\].surplus = 1.0: must be a known key"),
+        ("arm.chain.links", [], r"arm.chain.links = \[\]: must be four links"),
+        ("arm.chain.armature", [0.2, 0.2, 0.1, -0.1], "arm.chain.armature = .* must be not negative"),
+        ("arm.chain.gravity", [0, 0, 0], "arm.chain.gravity = .* must be of 9.7 to 9.9"),
+        ("arm.chain.tip", [0.0, "1e999", 0.0], "arm.chain.tip = an array of"),
+        ("arm.nominal.mass_scale", 0.0, r"arm.nominal.mass_scale = 0.0: must be in \[0.1, 2\]"),
+        ("arm.nominal.tool_error", 10**400, "arm.nominal.tool_error = 1000.*must be a number"),
+        ("arm.nominal.friction", [], r"arm.nominal.friction = \[\]: must be a table of coulomb, viscous, presliding"),
+        ("arm.nominal.friction.coulomb", [-1.0, 0, 0, 0], "arm.nominal.friction = .* must be not negative"),
+        ("arm.nominal.friction.presliding", 0.0, r"friction.presliding = 0.0: must be in \[1e-05, 0.1\]"),
+        ("arm.posture", [0.0, 0.7, 0.0], r"arm.posture = an array of shape \(3,\)"),
+        ("arm.posture", [3.0, 0.7, 0.0, 2.2], r"arm.posture of J1 = 3: must be in \[-2.6, 2.6\] rad"),
+        ("arm.posture", [0.0, 0.0, 0.0, 0.0], r"tip at arm.posture, x = .* m: must be in \["),
+        ("arm.limits", None, "limits = None: must be a table of force"),
+        ("arm.limits.force", 4.0, "golden_force = 5.* N: must be at most 4 N, its limit. Choose limits"),
+        ("arm.limits.force", 1000.0, r"limits.force = 1000: must be in \[0.1, 100\] N"),
+        (
+            "arm.limits.joint_torque",
+            [25.0, 2.0, 15.0, 15.0],
+            "golden_torque of J2 = .* N m: must be at most 2 N m, its",
+        ),
+        ("arm.limits.torque_rates", [1.0] * 4, "limits.torque_rates = unknown"),
+        ("margins.0.ideal", True, "margins = of the ideal loop: must be those of the loop as it runs"),
+        ("margins.2.spectral_radius", 1.01, "spectral_radius at 1900 N/m .* = 1.01: must be below 1"),
+        ("T_s", 2e-3, "deviation from the golden t"),
+        ("K2", 10.0001, "deviation from the golden trace"),
+        ("gains.input_gain", 89.0, "deviation from the golden trace"),
+    ],
+)
+def test_each_wrong_entry_has_its_sentence(opened, path, value, message):
+    refused(opened, message, path, value)
+
+
+@pytest.mark.parametrize("name", arm_model.GOLDEN)
+def test_each_wrong_array_has_its_sentence(opened, name):
+    good = opened[1][name]
+    refused(opened, rf"{name} = an array of shape \(6, 3\)", **{name: good[:, :3]})
+    refused(opened, f"{name} = an array of <U", **{name: good.astype(str)})
+    refused(opened, f"{name} = not finite somewhere", **{name: np.where(good == good[2, 1], np.nan, good)})
+    changed = good.copy()
+    changed[3, 1] += 1e-6
+    refused(opened, "deviation from the golden t", **{name: changed})
+    if name == "golden_q":
+        refused(opened, "golden_applied = an array of shape", **{name: good[:5]})
+
+
+def test_a_trace_of_another_length_than_the_forces_is_refused(opened):
+    short = {name: opened[1][name][:5] for name in arm_model.GOLDEN}
+    refused(opened, "golden_q = 5 samples: must be of as many samples as golden_force, 6", **short)
+
+
+CONSTANTS = [
+    *(f"chain.links.{i}.inertia" for i in range(4)),
+    *(f"chain.links.{i}.moment" for i in range(1, 4)),  # that of the first turns about the vertical only
+    *("chain.links.3.mass", "chain.armature", "chain.gravity"),  # the other links' origins rest
+    *("nominal.mass_scale", "nominal.tool_error", "velocity_cutoff", "posture"),
+]
+
+
+@pytest.mark.parametrize("path", CONSTANTS)
+def test_every_constant_of_the_model_is_held_by_the_trace(opened, path):
+    """Changed by a thousandth it is refused; those that are left out have no effect on any torque."""
+    value = opened[0]["arm"]
+    for key in path.split("."):
+        value = value[int(key) if key.isdigit() else key]
+    refused(opened, "deviation from the golden t", f"arm.{path}", (np.array(value) * 1.001).tolist())
+
+
+def test_rate_and_robot_are_asked_for(data, tmp_path, arguments):
+    path, linear = tmp_path / "arm.npz", tmp_path / "linear.npz"
+    path.write_bytes(data)
+    freeze(linear, **arguments)
+    assert load(path, expect_rate=1000.0, expect_robot=ROBOT).arm is not None
+    assert load(linear, expect_rate=1000.0).arm is None
+    for file, expected, message in [
+        (path, {"expect_rate": 500.0}, "its law runs 1000 times a second, not 500: run it at its rate, or freeze it"),
+        (path, {"expect_rate": 1000.01}, "its law runs 1000 times a second, not 1000.01"),
+        (path, {"expect_robot": "another"}, "it drives a Barrett WAM 4-DoF, and this is a another"),
+        (linear, {"expect_robot": ROBOT}, "of the kind 'linear', which replays and drives no arm: freeze it with"),
+    ]:
+        with pytest.raises(ArtifactError, match=message):
+            load(file, **expected)
+
+
+def test_what_cannot_be_made_cannot_be_frozen(tmp_path):
+    arguments = made.arm_arguments(6)
+    golden = tuple(arguments.pop(name) for name in ("golden_force", "golden_force_ref", "golden_v"))
+    good = arguments.pop("arm")
+    good |= {"limits": good["limits"].plain()}
+    for change, message in [
+        ({"limits": good["limits"] | {"force": 1.0}}, "golden_force"),
+        ({"chain": None}, "arm.chain = None: must be a table"),
+        ({"golden_torque": good["golden_torque"] + 1e-8}, "deviation from the golden torques"),
+        ({"golden_torque": None}, "golden_torque = an array of object"),
+        ({"name": "arm"}, "arm.name = arm: must be a known key"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            freeze(tmp_path / "c.npz", **arguments, golden=golden, arm=good | change)
+    del good["golden_q"]
+    with pytest.raises(InputError, match="golden_q = missing: must be given"):
+        freeze(tmp_path / "c.npz", **arguments, golden=golden, arm=good)
+    assert not list(tmp_path.iterdir())
+
+
+def test_limits_are_limits():
+    arguments = made.arm_arguments(6)["arm"]
+    with pytest.raises(InputError, match=r"arm\.limits = .* must be a table of limits"):
+        ArmModel(**(arguments | {"limits": arguments["limits"].plain()}))
+    assert isinstance(ArmModel(**arguments).limits, Limits)
+
+
+def test_a_law_that_cannot_be_computed_is_a_refusal(opened):
+    """A straight arm cannot move its tip along itself, and Python's arithmetic raises."""
+    straight = opened[1]["golden_q"].copy()
+    straight[-1] = 0.0
+    refused(opened, "its law cannot be computed: float division by zero", golden_q=straight)

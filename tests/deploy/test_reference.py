@@ -1,0 +1,241 @@
+import math
+import os
+import random
+import time
+from itertools import pairwise
+
+import pytest
+
+from deploy import reference
+from deploy.reference import Constant, Lines, Stream, Table, from_text
+from jaxmpc.errors import InputError
+
+T_S = 1e-3
+
+
+class Garbage:
+    """Wants anything at all."""
+
+    def __init__(self, seed):
+        self.draw = random.Random(seed)
+
+    def wanted(self, t):
+        kinds = (math.nan, math.inf, -math.inf, 1e300, -1e300, 0.0, 5.0, self.draw.gauss(0.0, 10.0))
+        return tuple(self.draw.choice(kinds) for _ in range(3))
+
+    def notes(self):
+        return []
+
+
+def run(stream, samples, T_s=T_S):
+    return [stream.at(k * T_s) for k in range(samples)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_garbage_can_neither_jump_nor_grow(seed):
+    forces = run(Stream(Garbage(seed), T_S, (0.0, 0.0, -1.0), rate=5.0, largest=6.0), 5000)
+    assert forces[0] == (0.0, 0.0, -1.0)
+    assert max(math.dist(a, b) for a, b in pairwise(forces)) <= 5.0 * T_S * (1.0 + 1e-12)
+    assert max(math.hypot(*force) for force in forces) <= 6.0 * (1.0 + 1e-12)
+    assert len(set(forces)) > 1000
+
+
+def test_a_constant_is_reached_at_its_rate_and_kept():
+    forces = run(Stream(Constant((3.0, 0.0, -4.0)), T_S, rate=2.0), 3000)
+    assert forces[1000] == pytest.approx((1.2, 0.0, -1.6), abs=1e-12)
+    assert forces[2499] != (3.0, 0.0, -4.0)
+    assert forces[2501:] == [(3.0, 0.0, -4.0)] * 499
+
+
+def test_missed_samples_are_followed_no_faster_than_three_at_once():
+    stream = Stream(Constant((0.0, 0.0, -5.0)), T_S, rate=2.0)
+    stream.at(0.0)
+    before = stream.at(0.010)
+    assert before[2] == pytest.approx(-3 * 0.002)
+    assert stream.at(0.010) == before
+    assert stream.at(0.005) == before
+    assert stream.at(100.0)[2] == pytest.approx(-6 * 0.002)
+    assert stream.at(100.001)[2] == pytest.approx(-7 * 0.002)
+
+
+@pytest.mark.parametrize("ahead", [1, 5, 64])
+def test_preview_is_what_comes(ahead):
+    table = Table([0.0, 0.1, 0.2, 0.3], [(0.0, 0.0, 0.0), (0.1, 0.0, -0.4), (0.0, 0.2, -0.1), (0.0, 0.0, 0.0)])
+    seen = run(Stream(table, T_S, rate=100.0, ahead=ahead), 400)
+    plain = Stream(table, T_S, rate=100.0)
+    came = run(plain, 400 + ahead)
+    for k, window in enumerate(seen):
+        assert len(window) == 3
+        assert [len(axis) for axis in window] == [ahead] * 3
+        assert list(zip(*window, strict=True)) == came[k + 1 : k + 1 + ahead]
+
+
+def test_a_measured_start_that_is_no_number_becomes_zero():
+    assert Stream(Constant((0.0, 0.0, 0.0)), T_S, (math.nan, 0.0, 0.0)).at(0.0) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("limits", [{"rate": 0.0}, {"rate": math.inf}, {"largest": -1.0}, {"largest": math.nan}])
+def test_limits_must_limit(limits):
+    with pytest.raises(InputError, match="positive and finite"):
+        Stream(Constant((0.0, 0.0, 0.0)), T_S, **limits)
+
+
+def test_a_table_is_interpolated_and_held():
+    table = Table([1.0, 2.0, 4.0], [(0.0, 0.0, -1.0), (1.0, 0.0, -3.0), (0.0, 2.0, -3.0)], "f.csv")
+    assert table.notes() == []
+    asked = [0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 9.0, 1.5]
+    wanted = [(0, 0, -1), (0, 0, -1), (0.5, 0, -2), (1, 0, -3), (0.5, 1, -3), (0, 2, -3), (0, 2, -3), (0.5, 0, -2)]
+    assert [table.wanted(t) for t in asked] == wanted
+    assert table.notes() == ["f.csv: ended at 4 s, its last force was held"]
+
+
+def test_ramps():
+    table = from_text("ramps:0,0,-5@2 hold@5 0,0,2@1 0,0,2@1", rate=2.0)
+    times = [0.0, 1.0, 2.5, 7.0, 7.5, 10.5, 14.5, 20.0]
+    assert [table.wanted(t)[2] for t in times] == [0.0, -2.0, -5.0, -5.0, -5.0, -2.0, 2.0, 2.0]
+
+
+def test_fig_3b_needs_no_more_than_its_ramps():
+    table = from_text("ramps:0,0,2@2 hold@5 0,0,-5@2 hold@5", start=(0.0, 0.0, 0.0))
+    assert [table.wanted(t)[2] for t in (0.5, 1.0, 6.0, 8.0, 9.5, 20.0)] == [1.0, 2.0, 2.0, -2.0, -5.0, -5.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("0,0", "X,Y,Z"),
+        ("0,0,x", "X,Y,Z"),
+        ("0,0,nan", "X,Y,Z"),
+        ("no-such-file.csv", "existing file"),
+        ("0,0,-11", "at most 10 N"),
+        ("ramps:0,0,-5", "X,Y,Z@RATE"),
+        ("ramps:0,0,-5@0", "X,Y,Z@RATE"),
+        ("ramps:0,0,-5@inf", "X,Y,Z@RATE"),
+        ("ramps:0,0,-5@9", "at most 5 N/s fast"),
+        ("ramps:0,0,-50@1", "at most 10 N"),
+        ("ramps:wait@1", "X,Y,Z@RATE"),
+        ("ramps:hold@x", "hold@SECONDS"),
+    ],
+)
+def test_wrong_words_are_refused(text, message):
+    with pytest.raises(InputError, match=message):
+        from_text(text)
+
+
+def test_a_constant_from_words():
+    assert from_text("0,0,-5") == Constant((0.0, 0.0, -5.0))
+    assert Constant((0.0, 0.0, -5.0)).notes() == []
+
+
+def write(tmp_path, text):
+    path = tmp_path / "f.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    "text", ["t,x,y,z\n0,0,0,0\n2, 0.0, 0.0, -5\n\n", b"\xef\xbb\xbft,x,y,z\r\n0,0,0,0\r\n2,0,0,-5"]
+)
+def test_a_file(tmp_path, text):
+    table = from_text(write(tmp_path, text))
+    assert table.wanted(1.0) == (0.0, 0.0, -2.5)
+    table.wanted(3.0)
+    assert table.notes() == ["f.csv: ended at 2 s, its last force was held"]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "message"),
+    [
+        ("", None, "at least one"),
+        ("0,0,0,0\n", 1, "t,x,y,z"),
+        ("t,x,y,z\n", None, "at least one"),
+        ("t,x,y,z\n0,0,0\n", 2, "four finite numbers"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0,nan\n", 3, "four finite numbers"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0,a\n", 3, "four finite numbers"),
+        ("t,x,y,z\n0,0,0,0\n0,0,0,-1\n", 3, "above 0 s"),
+        ("t,x,y,z\n0,0,0,0\n9,0,0,-12\n", 3, "at most 10 N"),
+        ("t,x,y,z\n0,0,0,0\n1,0,0,-6\n", 3, "at most 5 N/s"),
+        (b"t,x,y,z\n0,0,0,\xff\n", None, "UTF-8"),
+    ],
+)
+def test_wrong_files_are_refused_with_their_line(tmp_path, text, line, message):
+    path = write(tmp_path, text)
+    with pytest.raises(InputError, match=message) as caught:
+        from_text(path)
+    assert str(caught.value).startswith(f"{path}:{line}: " if line else f"{path}: ")
+
+
+def test_files_that_cannot_be_read_or_are_too_long(tmp_path, monkeypatch):
+    with pytest.raises(InputError, match="cannot be read"):
+        from_text(str(tmp_path))
+    monkeypatch.setattr(reference, "_LARGEST_FILE", 10)
+    with pytest.raises(InputError, match="at most 10"):
+        from_text(write(tmp_path, "t,x,y,z\n0,0,0,0\n"))
+
+
+class Pipe:
+    def __init__(self):
+        self.reading, self.writing = os.pipe()
+        self.lines = Lines(self.reading, (0.0, 0.0, -1.0), largest=10.0)
+
+    def say(self, data):
+        os.write(self.writing, data)
+
+    def until(self, condition):
+        end = time.monotonic() + 10.0
+        while not condition() and time.monotonic() < end:
+            time.sleep(0.001)
+        assert condition()
+
+
+@pytest.fixture
+def pipe():
+    pipe = Pipe()
+    yield pipe
+    if pipe.writing is not None:
+        os.close(pipe.writing)
+    pipe.until(lambda: pipe.lines._ended)
+    os.close(pipe.reading)
+
+
+def test_lines_the_last_valid_one_counts_and_the_end_holds(pipe):
+    lines = pipe.lines
+    assert lines.wanted(0.0) == (0.0, 0.0, -1.0)
+    pipe.say(b"0 0 -2\n1,2,")
+    pipe.until(lambda: lines.lines == 1)
+    assert lines.wanted(0.0) == (0.0, 0.0, -2.0)
+    pipe.say(b"-3\n\n")
+    pipe.until(lambda: lines.lines == 2)
+    assert lines.wanted(0.0) == (1.0, 2.0, -3.0)
+    pipe.say(b"0 0 -4")
+    os.close(pipe.writing)
+    pipe.writing = None
+    pipe.until(lambda: lines._ended)
+    assert lines.wanted(0.0) == (0.0, 0.0, -4.0)
+    assert lines.notes() == ["reference: 3 lines taken", "reference: its stream has ended, the last force was held"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"0 0", b"0 0 0 0", b"a b c", b"nan 0 0", b"0 0 -inf", b"0 0 -10.1", b"\xff\xfe 0 0", b"0 0 -0." + b"0" * 300],
+)
+def test_malformed_lines_are_counted_said_and_change_nothing(pipe, line):
+    pipe.say(line + b"\n0 0 -2\n")
+    pipe.until(lambda: pipe.lines.lines == 1)
+    assert pipe.lines.wanted(0.0) == (0.0, 0.0, -2.0)
+    assert pipe.lines.refused == 1
+    assert "1 lines refused, the first was" in pipe.lines.notes()[1]
+
+
+def test_an_endless_line_keeps_no_memory(pipe):
+    for _ in range(50):
+        pipe.say(b"1" * 4096)
+    pipe.say(b"\n0 0 -2\n")
+    pipe.until(lambda: pipe.lines.lines == 1)
+    assert pipe.lines.refused > 1
+    assert pipe.lines.wanted(0.0) == (0.0, 0.0, -2.0)
+
+
+def test_a_stream_says_what_its_source_says(pipe):
+    assert Stream(pipe.lines, T_S).notes() == ["reference: 0 lines taken"]
+    assert isinstance(from_text("0,0,0"), Constant)

@@ -1,0 +1,137 @@
+"""A frozen controller flown in lock-step against the twin, with everything that the twin knows kept."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from deploy.bus import Bus
+from deploy.cycle import Done, Wishes
+from deploy.limits import Limits
+from deploy.loop import STATES, Ended
+from deploy.puck.codec import unpack_torques
+from deploy.reference import ramps
+from deploy.safety.machine import Situation, State
+from deploy.safety.reasons import Reason
+from deploy.session import Options, Session
+from deploy.twin.lockstep import Clock, LockstepBus
+from deploy.twin.settings import Settings
+from deploy.twin.twin import Twin
+
+ACTIVATED = 100
+"""Cycles in ARMED after which the pendant is pressed."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What came of it; rows are cycles."""
+
+    ended: Ended
+    session: Session
+    twin: Twin
+    situations: list[Situation]
+    time: np.ndarray
+    """Of the twin at each cycle [s]."""
+    force: np.ndarray
+    """True force on the tissue at every millisecond of the twin (n, 3) [N]."""
+    force_time: np.ndarray
+    """[s]"""
+    frames: list[tuple[float, tuple[int, ...]]]
+    """Time [s] and units of every torque frame."""
+    contact: float
+    """When contact was made [s]; NaN if never."""
+    clamped: int
+    """Cycles in contact in which a clamp acted."""
+
+    @property
+    def reason(self) -> Reason:
+        return self.ended.situation.reason
+
+    def signals(self) -> dict[str, np.ndarray]:
+        return self.session.recorder.signals()
+
+    def residual(self, settle: float = 5.0) -> np.ndarray:
+        """RMS per axis of the measured force after a time in contact [N]."""
+        signals = self.signals()
+        contact = np.flatnonzero(signals["state"][:, 0] == STATES.index(State.CONTACT))
+        rows = contact[round(settle * 1e3) :]
+        error = signals["force"][rows] - signals["force_ref"][rows]
+        rms: np.ndarray = np.sqrt(np.nanmean(error**2, axis=0))
+        return rms
+
+    def peak(self, start: float = 0.0) -> float:
+        """Largest true force on the tissue from a time in contact on [N]."""
+        later = self.force_time >= self.contact + start
+        return float(np.linalg.norm(self.force[later], axis=1).max(initial=0.0))
+
+    def detected(self, since: float) -> int:
+        """Cycles from a time until the state left contact; −1 if it never did."""
+        for time, now in zip(self.time, self.situations, strict=True):
+            if time >= since - 1e-9 and now.state not in (State.CONTACT, State.APPROACH, State.ARMED):
+                return round((time - since) * 1e3)
+        return -1
+
+
+def fly(
+    artifact: Any,
+    *faults: str,
+    stiffness: float = 810.0,
+    seconds: float = 3.0,
+    reference: str = "0,0,-5@2",
+    limits: Limits | None = None,
+    tare: bool = False,
+    record: float = 60.0,
+    **settings: Any,
+) -> Flight:
+    """Start, approach, hold the force for some seconds [s], retract.
+
+    Faults are timed from the twin's beginning; contact comes at about 0.8 s.
+    """
+    twin = Twin(Settings(stiffness=stiffness, gap=settings.pop("gap", 0.005), faults=faults, **settings))
+    truth: list[tuple[float, ...]] = []
+
+    def watch(now: Twin) -> None:
+        seen = now.truth()
+        truth.append((seen.time, *seen.force))
+
+    clock = Clock(twin, watch)
+    bus = Bus(LockstepBus(clock), clock.now)
+    frames: list[tuple[float, tuple[int, ...]]] = []
+
+    def log(frame: Any, stamp: int, sent: bool) -> None:
+        frames.append((1e-9 * stamp, unpack_torques(frame.data)))
+
+    source = ramps(reference, rate=20.0, largest=10.0)
+    options = Options(source, 20.0, turns=False, tare=tare, hook=twin.force_hook, log=log, seconds=record)
+    if limits is not None:
+        artifact = replace(artifact, arm=replace(artifact.arm, limits=limits))
+    session = Session(artifact, bus, clock, options, lambda sentence: None)
+    situations: list[Situation] = []
+    times: list[float] = []
+    clamped = [0]
+
+    def each(done: Done) -> Wishes:
+        times.append(1e-9 * clock.now())
+        situations.append(done.situation)
+        clamped[0] += done.situation.state is State.CONTACT and done.clamp.acted
+        if done.situation.state is State.ARMED and done.situation.cycles == ACTIVATED:
+            twin.press("activate")
+        over = session.controller.contact_time >= seconds
+        return Wishes(True, True, Reason.FINISHED if over else Reason.NONE)
+
+    ended = session.run(Wishes(True, True), None, each)
+    bus.close()
+    entered = [time for time, now in zip(times, situations, strict=True) if now.state is State.CONTACT]
+    rows = np.array(truth)
+    return Flight(
+        ended,
+        session,
+        twin,
+        situations,
+        np.array(times),
+        rows[:, 1:],
+        rows[:, 0],
+        frames,
+        entered[0] if entered else float("nan"),
+        clamped[0],
+    )

@@ -1,0 +1,120 @@
+"""The recorded tick against the JAX law on what a simulated arm reads; and the arm made of plain numbers."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from deploy.arm_model import ROBOT, ArmModel
+from deploy.arm_runtime import ArmRuntime, replay
+from deploy.artifact import Artifact, load
+from deploy.limits import Limits
+from jaxmpc import Experiment, Params, design
+from jaxmpc.cli.freeze import _believed, freeze_controller
+from jaxmpc.golden import arm_law_trace, simulated_arm_runs
+from jaxmpc.law import cascade
+from jaxmpc.world import drive as drives
+from jaxmpc.world.arm import chain, tip_at
+from jaxmpc.world.reference import Ramp
+from tests.deploy import made
+
+replace = msgspec.structs.replace
+TABLE = Experiment.published("table-1-wam")
+RAMP = Ramp(to=-5.0, rate=20.0)
+SHORT = replace(TABLE, duration=1.0, settle=0.0, reference=replace(TABLE.reference, z=(RAMP,)))
+STIFFNESS = (375.0, 560.0, 810.0, 1240.0, 1900.0)
+TOLERANCE = 1e-9
+"""Of the torques [N m]; each sample rounds some 1e-14, and the observers forget it within some samples."""
+
+
+@pytest.fixture(scope="module")
+def frozen(tmp_path_factory):
+    """A file as the command line makes it, and what it holds."""
+    folder = tmp_path_factory.mktemp("frozen")
+    (folder / "limits.toml").write_text("force = 9.0\n")
+    file = folder / "controller.npz"
+    return file, freeze_controller(file, Params(), SHORT, {"M_s": 5.0}, ideal=False, limits=folder / "limits.toml")
+
+
+def artifact_of(experiment, gains, run, answer):
+    """The controller with this run as its golden trace, so that `replay` runs all of it."""
+    golden = {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
+    model = ArmModel.from_plain(_believed(experiment, None), golden)
+    gains = cascade.Gains(*map(np.asarray, gains))
+    rows, floor = [made.margin_row(810.0)], {"M_s": 2.0}
+    preview = experiment.reference.preview
+    return Artifact(gains, 1e-3, 10.0, preview, {}, rows, floor, {}, run.force, run.force_ref, answer.v, model)
+
+
+def deviations(experiment, params=None):
+    """Largest differences of v [-] and torque [N m] at each stiffness, over a whole simulated run."""
+    params = params or Params()
+    gains, found = design(params), []
+    for run in simulated_arm_runs(params, experiment, STIFFNESS):
+        answer = arm_law_trace(gains, 10.0, experiment, run)
+        assert np.ptp(answer.torque[:, 1]) > 1.0
+        assert np.abs(answer.applied - answer.torque).max() > 1e-3
+        found.append(replay(artifact_of(experiment, gains, run, answer)))
+    return found
+
+
+def test_a_second_on_five_stiffnesses():
+    found = deviations(SHORT)
+    assert len(found) == 5
+    assert max(torque for _, torque in found) <= TOLERANCE
+    assert max(v for v, _ in found) <= 1e-9
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_samples_on_five_stiffnesses():
+    found = deviations(replace(TABLE, duration=100.0))
+    assert max(torque for _, torque in found) <= TOLERANCE
+
+
+@pytest.mark.slow
+def test_with_friction_compensation_preview_and_higher_order():
+    arm = replace(TABLE.arm, compensation=0.5, tool_mass_error=0.05)
+    experiment = replace(SHORT, arm=arm, reference=replace(SHORT.reference, preview=True))
+    found = deviations(experiment, Params(disturbance_order=2))
+    assert max(torque for _, torque in found) <= TOLERANCE
+
+
+def test_another_law_would_be_seen(frozen):
+    """A mass that is a billionth off."""
+    _, artifact = frozen
+    assert replay(artifact)[1] <= TOLERANCE
+    arm = artifact.arm
+    heavier = {name: getattr(arm, name) for name in ArmModel.__dataclass_fields__}
+    heavier |= {"nominal": arm.nominal._replace(mass_scale=arm.nominal.mass_scale * (1.0 + 1e-9))}
+    fields = {name: getattr(artifact, name) for name in Artifact.__dataclass_fields__}
+    assert replay(Artifact(**(fields | {"arm": ArmModel(**heavier)})))[1] > TOLERANCE
+
+
+def test_the_velocity_filter_is_the_drives():
+    artifact = made.arm_artifact(3)
+    runtime, draw = ArmRuntime(artifact), np.random.default_rng(1)
+    perfect = drives.Drive(1e-3, 0.0, drives.pole(made.VELOCITY_CUTOFF, 1e-3), 0.0, drives.TORQUE_LIMIT)
+    angles = np.cumsum(draw.normal(0.0, 1e-3, (100, 4)), axis=0)
+    state = drives.DriveState(tuple(angles[0]), (0.0,) * 4)
+    runtime.start(angles[0].tolist())
+    for q in angles:
+        state = drives.measure(perfect, state, tuple(q), np)
+        # There and back through the motors' angles rounds 1e-16 rad, a thousand times a second.
+        np.testing.assert_allclose(runtime.velocity(q.tolist()), state.velocity, rtol=0, atol=1e-12)
+
+
+def test_the_arm_of_plain_numbers_is_that_of_the_model_file():
+    made_links, links = made.wam_chain().links, chain().links
+    for one, other in zip(made_links, links, strict=True):
+        for value, wanted in zip(one, other, strict=True):
+            np.testing.assert_allclose(value, wanted, rtol=0, atol=1e-15)
+    assert made.wam_chain()[1:] == chain()[1:]
+
+
+def test_freezing_from_parameters_to_a_file_that_runs(frozen):
+    file, artifact = frozen
+    again = load(file, expect_rate=1000.0, expect_robot=ROBOT)
+    assert again.kind == "wam"
+    assert again.arm.limits == Limits.from_plain(Limits.default(tip_at(TABLE.arm.posture)).plain() | {"force": 9.0})
+    assert again.arm.chain == artifact.arm.chain == chain()
+    assert len(again.arm.golden_q) == 256
+    assert not any(row["ideal"] for row in again.margins)

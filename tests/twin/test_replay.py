@@ -1,0 +1,191 @@
+"""Flights made by the runtime itself, recorded, and replayed through it and through the traced law."""
+
+import hashlib
+import shutil
+from argparse import ArgumentParser
+
+import numpy as np
+import pytest
+
+from deploy.arm_runtime import ArmRuntime
+from deploy.artifact import load, to_bytes
+from deploy.recorder import COLUMNS, FlightRecorder, read
+from deploy.replay import SETTLING, compare, inputs_of, through_runtime
+from jaxmpc.cli import replay as verb
+from jaxmpc.errors import InputError
+from tests.deploy import made
+
+NAMES = {"state": ["idle", "armed", "approach", "contact", "retract", "stopped", "fault"]}
+IDLE, APPROACH, CONTACT, RETRACT = 0, 2, 3, 4
+NAN = (float("nan"),) * 3
+
+
+def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, lost=(500, 501)):
+    """A recorder after a run: angles that sway, a force with noise, samples lost, torques clamped now and then.
+
+    `change(k, runtime)` may meddle with the controller at a sample.
+    """
+    runtime, recorder = ArmRuntime(artifact), FlightRecorder(seconds=seconds)
+    q_all, force_all, wanted_all = made.recorded_inputs(samples, width=64 if artifact.preview else 1)
+    runtime.start(tuple(q_all[0]))
+    for k in range(samples):
+        q, force = tuple(q_all[k]), tuple(force_all[k])
+        ref = tuple(map(tuple, wanted_all[k])) if artifact.preview else tuple(axis[0] for axis in wanted_all[k])
+        first = tuple(axis[0] for axis in wanted_all[k])
+        qd = runtime.velocity(q)
+        if change:
+            change(k, runtime)
+        if contact[0] <= k < contact[1]:
+            state = CONTACT
+            if k == contact[0]:
+                runtime.enter(force, q)
+            given = None if k in lost else force
+            wanted = runtime.control(q, qd, given, ref)
+            applied = (wanted[0], wanted[1] - (0.3 if k % 50 == 7 else 0.0), *wanted[2:])
+            runtime.applied(applied)
+        else:
+            state, given = APPROACH if k < contact[0] else RETRACT, force
+            wanted = applied = runtime.servo(q, qd, (0.1, 0.0, -0.2), force)
+        row = (1e-3 * k, *(given or NAN), *first, *runtime.u, *runtime.last_v, *runtime.last_a, *runtime.p_hat)
+        row += (*runtime.tip(q), *q, *applied, *qd, *wanted, *applied, state, 0, 0, *(0,) * 4, *(0,) * 4, 0, 0, 0)
+        recorder.append(row)
+    return recorder
+
+
+def flown(folder, **options):
+    """A folder with a controller's file and the recording of its flight."""
+    (folder / "controller.npz").write_bytes(to_bytes(made.arm_artifact(**options)))
+    artifact = load(folder / "controller.npz")
+    write(folder / "flight.npz", folder / "controller.npz", fly(artifact))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    return flown(tmp_path_factory.mktemp("plain"))
+
+
+@pytest.fixture(scope="module", params=["preview", "compensated"])
+def other_flight(request, tmp_path_factory):
+    return flown(tmp_path_factory.mktemp(request.param), **{request.param: True})
+
+
+def write(path, controller, recorder, **header):
+    sha256 = hashlib.sha256(controller.read_bytes()).hexdigest()
+    about = {"artifact": sha256, "reason": "operator", "T_s": 1e-3, "names": NAMES} | header
+    assert "samples in" in recorder.write(path, about)
+
+
+def replay(*words):
+    parser = ArgumentParser()
+    verb.configure(parser)
+    return verb.run(parser.parse_args([str(word) for word in words]))
+
+
+def test_a_flight_is_replayed_by_the_runtime_to_the_last_bit(other_flight):
+    recording, artifact = read(other_flight / "flight.npz"), load(other_flight / "controller.npz")
+    inputs = inputs_of(recording, artifact, recording.header["artifact"])
+    rows = {row.signal: row for row in compare(recording, inputs, through_runtime(inputs, artifact))}
+    assert {row.largest for row in rows.values()} == {0.0}
+    known = 1000 - (63 if artifact.preview else 0)  # the last wanted forces lie beyond the contact
+    assert rows["v"].samples == known
+    assert rows["wanted"].samples == known + 500
+    assert rows["qd"].samples == 1500 - 301
+
+
+def test_both_programs_agree_with_the_flight(other_flight, capsys):
+    assert replay(other_flight / "flight.npz", "--artifact", other_flight / "controller.npz") == 0
+    out = capsys.readouterr().out
+    assert "1500 samples, 0.000 to 1.499 s, 1000 in contact" in out
+    assert "forces missing in contact, bridged: 2" in out
+    assert "runtime against what flew" in out
+    assert "simulator's law against what flew" in out
+    assert "the same, within the tolerance" in out
+
+
+def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys):
+    controller = tmp_path / "controller.npz"
+    controller.write_bytes(to_bytes(made.arm_artifact()))
+    write(tmp_path / "flight.npz", controller, fly(load(controller), 3500, contact=(100, 3500), seconds=2.5))
+    recording = read(tmp_path / "flight.npz")
+    assert recording.signals["time"][0, 0] == 1.0
+    assert replay(tmp_path / "flight.npz", "--artifact", controller) == 0
+
+    artifact = load(controller)
+    inputs = inputs_of(recording, artifact, recording.header["artifact"])
+    again = through_runtime(inputs, artifact)
+    assert not np.array_equal(again["v"][5], recording.signals["v"][5])
+    # why SETTLING is enough: half of it is
+    late = inputs.time >= 1.0 + 0.5 * SETTLING
+    assert np.max(np.abs(again["v"] - recording.signals["v"])[late]) < 1e-11
+    capsys.readouterr()
+
+
+def test_it_shows_where_a_flight_parts(tmp_path, capsys):
+    controller = tmp_path / "controller.npz"
+    controller.write_bytes(to_bytes(made.arm_artifact()))
+
+    def slip(k, runtime):
+        if k == 800:
+            (x_hat, p_hat, *x), *rest = runtime._axes
+            runtime._axes = ((x_hat, p_hat + 1e-3, *x), *rest)
+
+    write(tmp_path / "flight.npz", controller, fly(load(controller), change=slip))
+    picture = tmp_path / "flight.png"
+    words = (tmp_path / "flight.npz", "--artifact", controller)
+    assert replay(*words, "--picture", picture) == 1
+    out = capsys.readouterr().out
+    assert "they part: first" in out
+    assert "at 0.800 s" in out
+    assert out.count("at 0.800 s by") == 8  # v, a, p_hat and torques of both programs; u a sample later
+    assert picture.read_bytes()[1:4] == b"PNG"
+    assert replay(*words, "--tolerance", "0.5") == 0
+
+
+def test_a_missing_simulator_is_said(flight, capsys, monkeypatch):
+    monkeypatch.setattr(verb, "find_spec", lambda name: None)
+    assert replay(flight / "flight.npz", "--artifact", flight / "controller.npz") == 0
+    assert "jax is not installed here" in capsys.readouterr().out
+
+
+def test_wrong_files_are_refused(flight, tmp_path):
+    recording, controller = flight / "flight.npz", flight / "controller.npz"
+    other = tmp_path / "other.npz"
+    other.write_bytes(to_bytes(made.arm_artifact(n=41)))
+    damaged = tmp_path / "damaged.npz"
+    shutil.copyfile(recording, damaged)
+    damaged.write_bytes(damaged.read_bytes()[:-1])
+    cases = [
+        ((recording, "--artifact", other), "the controller that flew has the sha256"),
+        ((recording, "--artifact", tmp_path / "none.npz"), "cannot be read"),
+        ((controller, "--artifact", controller), "no flight recording"),
+        ((damaged, "--artifact", controller), "cut short"),
+        ((tmp_path / "none.npz", "--artifact", controller), "No such file"),
+        ((recording, "--artifact", controller, "--tolerance", "0"), "in \\(0, 1\\)"),
+        ((recording, "--artifact", controller, "--picture", tmp_path / "no" / "a.png"), "can be written"),
+    ]
+    for words, text in cases:
+        with pytest.raises(InputError, match=text):
+            replay(*words)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "text"),
+    [
+        ({"T_s": 2e-3}, COLUMNS, "every 0.002 s"),
+        ({"names": None}, COLUMNS, "does not name the states"),
+        ({"names": {"state": ["idle"]}}, COLUMNS, "does not name the states"),
+        ({}, {name: width for name, width in COLUMNS.items() if name != "applied"}, "lacks the signal applied"),
+    ],
+)
+def test_recordings_that_lack_something_are_refused(flight, tmp_path, header, columns, text):
+    recorder = FlightRecorder(columns, seconds=0.01)
+    write(tmp_path / "flight.npz", flight / "controller.npz", recorder, **header)
+    with pytest.raises(InputError, match=text):
+        replay(tmp_path / "flight.npz", "--artifact", flight / "controller.npz")
+
+
+def test_an_empty_recording_is_refused(flight, tmp_path):
+    write(tmp_path / "flight.npz", flight / "controller.npz", FlightRecorder(seconds=0.01))
+    with pytest.raises(InputError, match="no samples"):
+        replay(tmp_path / "flight.npz", "--artifact", flight / "controller.npz")

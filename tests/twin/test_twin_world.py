@@ -1,0 +1,212 @@
+"""The twin's arm and heart against the simulator's, and what only the twin has: contact that comes and goes."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from deploy.twin.heart import Heart
+from deploy.twin.settings import HOME, RHYTHMS, Settings
+from deploy.twin.world import TORQUE_CONSTANT, WINDING, World
+from jaxmpc.arm_settings import robot_of
+from jaxmpc.errors import InputError
+from jaxmpc.experiment import Experiment
+from jaxmpc.law.chain import inverse_dynamics, pose, tip
+from jaxmpc.law.scalar import apply_transposed
+from jaxmpc.world import robot
+from jaxmpc.world.arm import chain, joint_ranges, tip_at
+from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
+from jaxmpc.world.motion import Motion, displacement
+from jaxmpc.world.tissue import KINDS
+
+FLOATS = SimpleNamespace(
+    sin=math.sin,
+    cos=math.cos,
+    exp=math.exp,
+    sqrt=math.sqrt,
+    floor=math.floor,
+    maximum=max,
+    where=lambda condition, this, that: this if condition else that,
+)
+NONE = (0.0, 0.0, 0.0, 0.0)
+DRIVING, IDLE = (False,) * 4, (True,) * 4
+FREE = {"coulomb": NONE, "viscous": NONE}
+
+
+def holding(world, lift=0.0):
+    """Motor torques that hold the arm against gravity and lift the tip by a force [N]."""
+    at = pose(chain(), world.q, math)
+    held = np.array(inverse_dynamics(chain(), at, NONE, NONE))
+    held += np.array(tip(chain(), at).jacobian)[2] * lift
+    return apply_transposed(MOTOR_TO_JOINT, tuple(held.tolist()))
+
+
+def run(world, seconds, lift=0.0, braked=DRIVING):
+    truths = []
+    for _ in range(round(1e3 * seconds)):
+        world.advance(holding(world, lift), braked)
+        truths.append(world.truth())
+    return truths
+
+
+def assert_new(truth, settings):
+    """A tip that has just touched has no more sideways force than its way in one millisecond makes."""
+    assert truth.touching
+    assert np.abs(truth.force[:2]).max() <= settings.stiffness * np.linalg.norm(truth.tip_velocity) * 1e-3
+
+
+@pytest.mark.parametrize(("kind", "steps"), [(kind, 1000 if kind == "elastic" else 300) for kind in KINDS])
+def test_the_world_is_the_simulators(kind, steps):
+    """Under the same torques, pressing and pulling, heart moving: only rounding, some 1e-16 a step, parts them."""
+    of = robot_of(Experiment.published("table-1-wam"))
+    of = of._replace(tissue=of.tissue._replace(stiffness=810.0), sensor=of.sensor._replace(lsb=(0.0,) * 3))
+    structure = robot.Kind(kind, integrator="euler")
+    state = robot.init(chain(), structure, of, 0.0, FLOATS)
+    # The torque of the last sample is given to a twin that takes it at once.
+    world = World(Settings(tissue=kind, substeps=1, gap=0.0, fade=0.1, delay=0, pull_off=1e6))
+    signals = displacement(Motion(fade=0.1), np.arange(steps) * 1e-3)
+    hearts = [robot.Heart(tuple(x), tuple(v)) for x, v in zip(*(each.tolist() for each in signals), strict=True)]
+    draw, sent, normal = np.random.default_rng(3), holding(world), []
+    for k, heart in enumerate(hearts):
+        measured, _, state = robot.sense(chain(), structure, of, state, heart, (0.0,) * 3, FLOATS)
+        np.testing.assert_allclose(world.truth().force, measured, rtol=0.0, atol=1e-7)
+        normal.append(measured[2])
+        before = sent
+        if k % 50 == 0:
+            sent = tuple((holding(world, lift=-4.0) + draw.normal(0.0, 0.1, 4)).tolist())
+        joint = apply_transposed(JOINT_TO_MOTOR, sent)
+        state = robot.move(chain(), structure, of, state, joint, (heart,), robot.accelerate, FLOATS)
+        world.advance(before, DRIVING)
+        np.testing.assert_allclose(world.truth().q, state.q, rtol=0.0, atol=1e-9)
+    assert np.ptp(normal) > 2.0
+
+
+def test_a_torque_acts_after_the_delay():
+    for delay in (0, 1, 3):
+        world = World(Settings(delay=delay))
+        acting = [any(truth.torque) for truth in run(world, 5e-3)]
+        assert acting == [k >= delay for k in range(5)]
+
+
+@pytest.mark.parametrize("name", RHYTHMS)
+def test_the_heart_moves_as_in_the_published_experiments(name):
+    published = {"harmonics": "table-1-wam", "none": ""}.get(name, name)
+    if published == name and name not in ("ventilator-hold", "cough", "amplitude-drift"):
+        published = f"rhythm-{name}"
+    motion = Experiment.published(published).motion if published else Motion(kind="none")
+    heart = Heart(name, 5e-4, motion.seed, motion.scale, motion.start, motion.fade)
+    # 9 to 11 s, where rates step, lungs stop and coughs come; three blocks at once would hide a seam.
+    instants = range(18_000, 22_000)
+    found = np.array([heart.at(i) for i in instants])
+    wanted = displacement(motion, np.array(instants) * 5e-4)
+    np.testing.assert_allclose(found[:, 0], wanted[0], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found[:, 1], wanted[1], rtol=0.0, atol=1e-10)
+
+
+def test_somebody_holds_the_arm_until_a_torque_acts():
+    world = World(Settings())
+    start = world.q
+    for _ in range(200):
+        world.advance(NONE, IDLE)
+        world.advance(NONE, DRIVING)
+    assert world.q == start
+    run(world, 0.05, lift=5.0)
+    assert world.q != start
+    world.place(HOME)
+    world.advance(NONE, IDLE)
+    assert world.q == HOME
+
+
+def test_the_tip_starts_above_and_touches_where_the_posture_says():
+    settings = Settings(rhythm="none", gap=0.01, **FREE)
+    world = World(settings)
+    np.testing.assert_allclose(
+        world.truth().tip, tip_at(settings.posture) + np.array([0.0, 0.0, 0.01]), rtol=0.0, atol=1e-12
+    )
+    truths = run(world, 0.6, lift=-1.0)
+    first = next(k for k, truth in enumerate(truths) if truth.touching)
+    assert truths[first].tip[2] == pytest.approx(tip_at(settings.posture)[2], abs=1e-4)
+    assert np.abs([truth.force for truth in truths[:first]]).max() == 0.0
+    assert_new(truths[first], settings)
+    assert min(truth.force[2] for truth in truths) < -1.0
+
+
+def test_an_attached_tip_pulls_until_it_comes_off_and_a_touching_one_never_pulls():
+    for attached in (True, False):
+        settings = Settings(rhythm="none", gap=0.0, attached=attached, pull_off=3.0, **FREE)
+        world = World(settings)
+        forces = np.array([truth.force[2] for truth in run(world, 0.25, lift=8.0)])
+        assert forces.max() == pytest.approx(3.0, abs=0.3) if attached else forces.max() <= 0.0
+        assert not world.truth().touching
+        assert world.truth().force == (0.0, 0.0, 0.0)
+        # Down again it sticks where it comes down: the old sideways deflection is forgotten.
+        back = run(world, 1.0, lift=-12.0)
+        assert_new(next(truth for truth in back if truth.touching), settings)
+        assert min(truth.force[2] for truth in back) < -1.0
+
+
+def test_an_idle_arm_sinks_slowly_on_its_shorted_motors():
+    """Gravity against Kt²/R: the speed of J2 after the first tenth of a second, to a tenth."""
+    world = World(Settings(rhythm="none", gap=0.2, **FREE))
+    run(world, 0.005)
+    begin = world.q
+    weight = inverse_dynamics(chain(), pose(chain(), begin, math), NONE, NONE)[1]
+    run(world, 0.3, braked=IDLE)
+    brake = TORQUE_CONSTANT**2 / WINDING * 2.0 * 28.25**2
+    assert world.truth().qd[1] == pytest.approx(-weight / brake, rel=0.1)
+    assert not any(world.truth().torque)
+
+
+def test_one_idle_motor_brakes_its_own_turning_and_no_other():
+    """With J2 and J3 turning such that motor 2 stands still, shorting motor 2 takes nothing away."""
+    speeds = []
+    for braked in (DRIVING, (False, True, False, False), (False, False, True, False)):
+        world = World(Settings(rhythm="none", gap=0.2, **FREE))
+        run(world, 0.005)
+        world._data.qvel[:] = 0.0, 16.8155 * 0.02, 28.25 * 0.02, 0.0
+        world._settle()
+        run(world, 0.005, braked=braked)
+        speeds.append(np.array(world.truth().qd))
+    weight = np.abs(speeds[0] - speeds[1]).max()
+    # What differs is that motor 2 no longer helps against gravity, for 5 ms.
+    assert weight < 0.1
+    assert np.abs(speeds[0] - speeds[2]).max() > 0.2
+
+
+def test_joints_end_at_their_stops():
+    world = World(Settings(rhythm="none", gap=0.2))
+    for _ in range(1500):
+        world.advance((1.0, 1.0, 0.5, -0.5), DRIVING)
+    low, high = joint_ranges().T
+    assert (np.array(world.q) > low - 0.1).all()
+    assert (np.array(world.q) < high + 0.1).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"tissue": "jelly"},
+        {"rhythm": "waltz"},
+        {"stiffness": 0.0},
+        {"stiffness": math.nan},
+        {"delay": -1},
+        {"substeps": 0},
+        {"gap": -0.1},
+        {"frame": "moon"},
+        {"noise": -1.0},
+        {"coulomb": (math.inf,) * 4},
+    ],
+)
+def test_wrong_settings_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        Settings(**wrong)
+
+
+def test_the_same_seed_is_the_same_world():
+    def measured(seed):
+        world = World(Settings(seed=seed, gap=0.0))
+        return [truth.measured for truth in run(world, 0.1)]
+
+    assert measured(1) == measured(1)
+    assert measured(1) != measured(2)
