@@ -99,7 +99,9 @@ class Limits:
     def default(cls, tip: Sequence[float]) -> "Limits":
         """Sensible ones for work on soft tissue around a place.
 
-        Torques are libbarrett's, joint ranges OpenWAM's, both in wam.md §1.3 and §2.5; the rest is chosen here. The
+        Torques are half of what the cables bear (wam.md §2.5): libbarrett's own 20 N m on J2 leave 12 beside gravity, and
+        a controller that meets a beating heart needs 20 for some milliseconds; cut off there it may lose its stability,
+        as any loop with a gain reduction margin does. Joint ranges are OpenWAM's (§1.3); the rest is chosen here. The
         law turns counts of the force sensor into torque at once: clean runs of Table I on the simulated arm change it
         by up to 1.8, 4.7, 1.3 and 1.0 N m a sample, on viscous tissue (1900 N/m) by 2.9, 7.5, 2.0 and 1.5 N m. So the
         usual 1 N m a sample would clamp all the time; 1.3 times the largest of those does not.
@@ -110,7 +112,7 @@ class Limits:
         box = tuple((max(at - 0.10, -REACH), min(at + 0.10, REACH)) for at in _sequence("tip", tip, 3))
         return cls(
             force=15.0,
-            joint_torque=(25.0, 20.0, 15.0, 15.0),
+            joint_torque=(37.0, 50.0, 30.0, 14.0),
             motor_torque=(1.8, 1.8, 1.8, 1.6),
             torque_rate=(4000.0, 10000.0, 3000.0, 2000.0),
             joint_velocity=(2.0, 2.0, 2.0, 2.0),

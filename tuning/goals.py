@@ -20,11 +20,13 @@ MARGINS: Mapping[str, str] = {
 """Margins that may be goals, and their units: M_s is a ceiling, the others are floors."""
 OVERSHOOT = "overshoot"
 """Of the linear loop's answer to a step of the reference, worst tissue, relative to the step [-]."""
-_MEASURED = {"rms": "N", "peak_to_peak": "N", "effort": "m/s²", "chatter": "m/s²"}
+PEAK = "peak_to_peak"
+"""Where the names of those goals begin that only runs in time can see."""
+_MEASURED = {"rms": "N", PEAK: "N", "effort": "m/s²", "chatter": "m/s²"}
 MEASURED: Mapping[str, str] = {
     **{f"{name}{axis}": unit for name, unit in _MEASURED.items() for axis in ("", *(f"_{axis}" for axis in AXES))},
     "rms_ratio": "",
-    "peak_to_peak_ratio": "",
+    f"{PEAK}_ratio": "",
     OVERSHOOT: "",
 }
 """What may be a goal of the runs, and its unit: on every axis or on one; a ratio is to the start point's value in the

@@ -15,11 +15,13 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.params import HP_MAX, Params
 from jaxmpc.scene import Scene, World, run_cells
 from jaxmpc.stability import Margins, margins_one
+from jaxmpc.stability.chatter import chatter_rms, effort_rms
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
 from jaxmpc.stability.residual import residual_rms
+from jaxmpc.stability.spectrum import Spectrum
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.contact import Contact, hertz
-from tuning.goals import OVERSHOOT, measured, standing
+from tuning.goals import OVERSHOOT, PEAK, measured, standing
 from tuning.risk import Risk, soft_worst
 from tuning.transforms import Axis, Space
 
@@ -27,6 +29,8 @@ PENALTY = 10.0
 """Price of a violation in units of log residual: above its Lagrange multiplier (some 2) the penalty is exact."""
 HEADROOM = 0.002
 """How far inside their limits the goals are aimed at, so that the last steps do not hover outside [-]."""
+PEAK_TO_RMS = 7.0
+"""Peak-to-peak of a residual over its RMS, roughly [-]; what weighs a peak's stand-in against other goals."""
 STEP_SAMPLES = 512
 """Length of the step response in which the overshoot is looked for [samples]."""
 
@@ -118,7 +122,7 @@ def designed(params: Params, data: Data, width: Any, kind: Kind) -> Designed:
 def cells_of(controllers: Designed, data: Data, kind: Kind) -> Metrics:
     """What is measured of every controller, (starts, stiffness, scenarios, 3); traceable.
 
-    From spectra it is the residual RMS alone, the other metrics are NaN.
+    From spectra it is residual RMS, effort and chatter; the peaks are NaN.
     """
     scene, world = data.scene, kind.world
     if data.spectra is None:
@@ -127,10 +131,17 @@ def cells_of(controllers: Designed, data: Data, kind: Kind) -> Metrics:
         flat = jax.tree.map(lambda leaf: leaf.astype(jnp.float64), ran.metrics)
         cells: Metrics = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:2], -1, 3), flat)
         return cells
-    over_scenarios = jax.vmap(residual_rms, in_axes=(None, None, 0))
+
+    def spectral(gains: Gains, contact: Contact, spectrum: Spectrum) -> Metrics:
+        loop = gains, contact, spectrum
+        rms, effort, chatter = residual_rms(*loop), effort_rms(*loop), chatter_rms(*loop)
+        peak = jnp.full_like(rms, jnp.nan)
+        return Metrics(rms, peak, effort, chatter, peak, peak)
+
+    over_scenarios = jax.vmap(spectral, in_axes=(None, None, 0))
     over_tissues = jax.vmap(over_scenarios, in_axes=(None, 0, None))
-    rms = jax.vmap(over_tissues, in_axes=(0, 0, None))(controllers.gains, controllers.contacts, data.spectra)
-    return Metrics(rms, *(jnp.full_like(rms, jnp.nan),) * (len(Metrics._fields) - 1))
+    found: Metrics = jax.vmap(over_tissues, in_axes=(0, 0, None))(controllers.gains, controllers.contacts, data.spectra)
+    return found
 
 
 def overshoot_of(controllers: Designed, kind: Kind) -> Float[Array, "starts stiffness"]:
@@ -162,15 +173,16 @@ def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> 
     overshoot = overshoot_of(safe, kind) if OVERSHOOT in {*data.hard, *data.soft} else None
 
     def goals(limits: Mapping[str, Any]) -> dict[str, Array]:
-        wide = {name: jnp.reshape(limits[name], (-1, 1, 1, 1)) for name in seen(limits, data)}
+        wide = {name: jnp.reshape(limit, (-1, 1, 1, 1)) for name, limit in limits.items()}
         return measured(cells, data.reference, overshoot, wide)
 
-    # Without time there is no peak: a job that asks for nothing else is led by its residual.
-    soft, hard = goals(data.soft) or {"rms": cells.rms}, goals(data.hard)
+    soft, hard = goals(seen_soft(data)), goals({name: data.hard[name] for name in seen(data.hard, data)})
     per_scenario = jnp.concatenate([jnp.moveaxis(goal, 2, 1).reshape(*goal.shape[::2], -1) for goal in _wide(soft)], 2)
     risk = kind.risk.over(soft_worst(per_scenario))
-    largest = {name: jnp.max(goal, axis=(1, 2, 3)) for name, goal in {**soft, **hard}.items()}
-    missed = sum((jnp.maximum(1.0 - 1.0 / largest[name] + HEADROOM, 0.0) for name in hard), jnp.zeros(len(z)))
+    worst_soft, worst_hard = ([jnp.max(goal, axis=(1, 2, 3)) for goal in goals.values()] for goals in (soft, hard))
+    # What is met by far, such as the effort of a loop that stands still, has a slope of 0 and not of 0 · ∞.
+    near = (jnp.maximum(goal, 0.5) for goal in worst_hard)
+    missed = sum((jnp.maximum(1.0 - 1.0 / goal + HEADROOM, 0.0) for goal in near), jnp.zeros(len(z)))
     log_risk = jnp.log(jnp.where(stable & (risk > 0.0), risk, 1.0))
     loss = log_risk + PENALTY * (margin_goals.violation + jnp.where(stable, missed, 0.0))
 
@@ -178,14 +190,14 @@ def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> 
         return _where(stable, value, jnp.nan)
 
     tissue = jnp.argmax(jnp.max(jnp.stack([jnp.max(goal, axis=(2, 3)) for goal in soft.values()]), axis=0), axis=1)
-    at_worst = [jnp.max(margin_goals.normalised, axis=2)] + [largest[name][:, None] for name in hard]
+    at_worst = [jnp.max(margin_goals.normalised, axis=2)] + [goal[:, None] for goal in worst_hard]
     return loss, (
         where_stable(risk),
         where_stable(jnp.max(cells.rms, axis=(1, 2, 3))),
         tissue,
         controllers.found.M_s,
         jnp.where(stable[:, None], jnp.concatenate(at_worst, axis=1), jnp.inf),
-        where_stable(jnp.stack([largest[name] for name in soft], axis=1)),
+        where_stable(jnp.stack(worst_soft, axis=1)),
         jax.tree.map(where_stable, cells),
     )
 
@@ -210,8 +222,18 @@ def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, k
 
 
 def seen(goals: Mapping[str, Any], data: Data) -> tuple[str, ...]:
-    """The goals on the runs that a level can see: without time there are no peaks, only residuals."""
-    return tuple(name for name in goals if data.spectra is None or name.partition("_")[0] in ("rms", OVERSHOOT))
+    """The goals on the runs that a level can see: without time there are no peaks, only mean squares."""
+    return tuple(name for name in goals if data.spectra is None or not name.startswith(PEAK))
+
+
+def seen_soft(data: Data) -> dict[str, Any]:
+    """Limits of the soft goals that a level sees; where it would see no residual, the RMS stands in for its peaks."""
+    found = {name: data.soft[name] for name in seen(data.soft, data)}
+    if any(name.startswith("rms") for name in found):
+        return found
+    peaks = {name: limit for name, limit in data.soft.items() if name not in found}
+    scale = {name: 1.0 if name.endswith("_ratio") else PEAK_TO_RMS for name in peaks}
+    return found | {name.replace(PEAK, "rms"): limit / scale[name] for name, limit in peaks.items()}
 
 
 def _where(stable: Array, value: Array, otherwise: float) -> Array:

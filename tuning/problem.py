@@ -15,7 +15,7 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.scene import Scene, scene_of, side_by_side, world_of
 from jaxmpc.stability.spectrum import spectrum_of
 from jaxmpc.uncompensated import uncompensated_acceleration
-from tuning.objective import Data, Kind, Values, measure, seen, value_and_gradient
+from tuning.objective import Data, Kind, Values, measure, seen, seen_soft, value_and_gradient
 from tuning.scenarios import scenarios, scene_over
 from tuning.settings import Level
 from tuning.spec import TuneSpec
@@ -50,8 +50,8 @@ class Problem(NamedTuple):
 
     @property
     def soft_goals(self) -> tuple[str, ...]:
-        """Those that this level can see, or its stand-in for them."""
-        return seen(self.data.soft, self.data) or ("rms",)
+        """Those that this level can see, and its stand-ins for others."""
+        return tuple(seen_soft(self.data))
 
     @property
     def hard_goals(self) -> tuple[str, ...]:

@@ -174,13 +174,13 @@ def check_service(frame: Frame) -> Reason | None:
     Allowed are questions, the tare of the force sensor, and what lowers the arm's state: nothing that raises it, and
     no torque.
     """
-    if not (0 < frame.id <= 31 or ALL_PUCKS <= frame.id <= ALL_PUCKS + 31) or not frame.data:
+    if not (0 < frame.id <= 31 or ALL_PUCKS <= frame.id <= ALL_PUCKS + 31):
         return Reason.FRAME
     if len(frame.data) == 1 and frame.data[0] < 0x80:
         return None
     if len(frame.data) not in (4, 6) or frame.data[0] < 0x80 or frame.data[1] != 0:
         return Reason.FRAME
-    what = (frame.id, frame.data[0] & 0x7F, int.from_bytes(frame.data[2:], "little", signed=True))
+    what = (frame.id, frame.data[0] & 0x7F, int.from_bytes(frame.data[2:], "little"))
     return None if what in _ALLOWED else Reason.STATE
 
 

@@ -118,6 +118,7 @@ class Arm:
         self._force_age = self._safety_age = LONG_AGO
         self._safety_mode: int | None = None
         self._pendant: Pendant | None = None
+        self._ask_mode = False
         self._puck_status = [properties.STAT_READY] * 4
         self._puck_mode: list[int | None] = [None] * 4
         self._other: list[PropertyReply] = []
@@ -130,7 +131,7 @@ class Arm:
                 self.late += 1
                 self._answers[slot] += 1  # the missing one has come, if one was missing
                 self._doubt[slot] = 0
-            elif frame.id != BROADCAST and not frame.id & 0x418 == 0x408:  # nor a late force, of the groups 8 to 15
+            elif not frame.id & 0x418 == 0x408:  # nor a late force, of the groups 8 to 15
                 self._take_property(frame)
         self.cycle += 1
         self._waiting = 4
@@ -142,7 +143,10 @@ class Arm:
         sent = self.bus.send(self._positions)
         for frame in self.sensor.request():
             sent = self.bus.send(frame) and sent
-        if self.cycle % self._poll_every == 0:
+        if self._ask_mode:
+            self._ask_mode = False
+            sent = self.bus.send(self._polls[0]) and sent
+        elif self.cycle % self._poll_every == 0:
             sent = self.bus.send(self._polls[self.cycle // self._poll_every % len(self._polls)]) and sent
         return sent
 
@@ -203,9 +207,13 @@ class Arm:
             self._new[slot] = None
 
     def _take_property(self, frame: Frame) -> None:
+        if frame.id == BROADCAST:
+            # What it says is unpublished, but that it speaks to all is reason enough to ask for its mode at once.
+            self._ask_mode = True
+            return
         reply = decode(frame)
         if not isinstance(reply, PropertyReply):
-            self.malformed += frame.id != BROADCAST
+            self.malformed += 1
             return
         if len(self._other) < MOST_AT_ONCE:
             self._other.append(reply)

@@ -10,6 +10,7 @@ for heart x_heart, disturbance acceleration w and noise n. A spectrum of many li
 It sees a linear loop: no rounding but as white noise, no saturation, no friction that answers to the controller.
 """
 
+from collections.abc import Callable
 from math import pi
 from typing import Any, NamedTuple
 
@@ -31,7 +32,7 @@ HIGHEST_GAIN = 1e12
 
 
 class Responses(NamedTuple):
-    """Measured force per disturbance."""
+    """What is looked at, per disturbance: of the measured force, units as here."""
 
     heart: Response
     """Per motion of the heart [N/m]."""
@@ -39,6 +40,10 @@ class Responses(NamedTuple):
     """Per disturbance acceleration [N s²/m]."""
     noise: Response
     """Per noise of the sensor [-]."""
+
+
+Answer = Callable[[Gains, Contact, Any], Responses]
+"""Of a controller, a world and angles θ [rad]."""
 
 
 class Parts(NamedTuple):
@@ -76,24 +81,29 @@ def residual_rms(gains: Gains, contact: Contact, spectrum: Spectrum) -> Float[Ar
         contact: One world, with ideal or sampled damping.
         spectrum: What disturbs it.
     """
-    answer, noise = _answers(gains, contact, spectrum)
-    force = answer.heart * spectrum.heart + answer.acceleration * spectrum.acceleration
-    return _root(_mean_square(force) + noise)
+    return root_mean_square(responses, gains, contact, spectrum)
+
+
+def root_mean_square(of: Answer, gains: Gains, contact: Contact, spectrum: Spectrum) -> Float[Array, "3"]:
+    """Root mean square per axis of anything that answers linearly; the rest as for `residual_rms`."""
+    answer, noise = _answers(of, gains, contact, spectrum)
+    whole = answer.heart * spectrum.heart + answer.acceleration * spectrum.acceleration
+    return _root(_mean_square(whole) + noise)
 
 
 def residual_parts(gains: Gains, contact: Contact, spectrum: Spectrum) -> Parts:
     """The residual by its causes; arguments as for `residual_rms`."""
-    answer, noise = _answers(gains, contact, spectrum)
+    answer, noise = _answers(responses, gains, contact, spectrum)
     motion, friction = answer.heart * spectrum.heart, answer.acceleration * spectrum.acceleration
     return Parts(_root(_mean_square(motion)), _root(_mean_square(friction)), _root(noise))
 
 
-def _answers(gains: Gains, contact: Contact, spectrum: Spectrum) -> tuple[Responses, Float[Array, "3"]]:
-    """Responses at the lines, and the variance that the noise leaves [N²]."""
+def _answers(of: Answer, gains: Gains, contact: Contact, spectrum: Spectrum) -> tuple[Responses, Float[Array, "3"]]:
+    """Responses at the lines, and the variance that the noise leaves."""
     sound = jnp.all(jnp.array([jnp.all(jnp.abs(gain) < HIGHEST_GAIN) for gain in jax.tree.leaves(gains)]))
     gains = jax.tree.map(lambda gain: jnp.where(sound, gain, 0.0), gains)
     theta, weights = _grid()
-    answer = responses(gains, contact, jnp.concatenate([jnp.asarray(spectrum.theta), theta]))
+    answer = of(gains, contact, jnp.concatenate([jnp.asarray(spectrum.theta), theta]))
     lines = len(spectrum.theta)
     passed = jnp.sum(weights * _squared(answer.noise[lines:]))
     at_lines = Responses(*(field[:lines] for field in answer))

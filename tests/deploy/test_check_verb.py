@@ -2,6 +2,7 @@ import hashlib
 
 import pytest
 
+from deploy.artifact import to_bytes
 from deploy.freeze import freeze
 from jaxmpc.cli import main
 
@@ -14,6 +15,21 @@ def test_good_artifact(arguments, tmp_path, capsys):
     assert hashlib.sha256(path.read_bytes()).hexdigest() in out
     for words in ("intact", "1900", "M_s", "inf", "≤ 2", "≥ 6", "< 1", "12 samples replayed", "µs", "Khat_s 900"):
         assert words in out
+    assert "kind        linear, replay only" in out
+    assert "robot" not in out
+
+
+def test_good_artifact_of_an_arm(arm_artifact, tmp_path, capsys):
+    path = tmp_path / "controller.npz"
+    path.write_bytes(to_bytes(arm_artifact))
+    assert main(["check", str(path)]) == 0
+    out = capsys.readouterr().out
+    for words in ("kind        wam, runs", "Barrett WAM 4-DoF", "0.36 m", "× 0.9", "40 samples replayed", "1e-09 N m"):
+        assert words in out
+    for name in arm_artifact.arm.limits.plain():
+        assert f"  {name} " in out
+    assert f"force{15:>19} N" in out
+    assert "tick of the arm" in out
 
 
 def test_refused_artifact(arguments, tmp_path, capsys):

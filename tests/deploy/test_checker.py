@@ -343,6 +343,7 @@ def test_service_frames(checker):
         (10, 42, 1),
         (0x404, 8, 1),
         (4, 5, 2),
+        (4, 0, 0),
     ]:
         assert checker.check_service(order(to, number, value)) is Reason.STATE
     for frame in (

@@ -3,10 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from deploy.artifact import load
+from deploy.arm_model import ROBOT
+from deploy.artifact import load, to_bytes
 from deploy.freeze import freeze
 from jaxmpc.errors import InputError
 from jaxmpc.sealed import seal
+from tests.deploy import made
 
 
 def test_frozen_file_is_what_load_returns(arguments, tmp_path):
@@ -104,3 +106,17 @@ def test_only_an_artifact_is_overwritten(arguments, tmp_path):
         with pytest.raises(InputError, match=message):
             freeze(place, **arguments)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["controller.npz", "other"]
+
+
+def test_a_controller_for_the_arm_is_one_that_runs(tmp_path):
+    given = made.arm_arguments(6)
+    golden = tuple(given.pop(name) for name in ("golden_force", "golden_force_ref", "golden_v"))
+    given["arm"] |= {"limits": given["arm"]["limits"].plain()}
+    path = tmp_path / "controller.npz"
+    frozen = freeze(path, **given, golden=golden)
+    assert frozen.kind == "wam"
+    assert to_bytes(load(path, expect_rate=1000.0, expect_robot=ROBOT)) == path.read_bytes()
+    del given["arm"]["limits"]["workspace"]
+    with pytest.raises(InputError, match=r"limits\.workspace = missing"):
+        freeze(tmp_path / "b.npz", **given, golden=golden)
+    assert [each.name for each in tmp_path.iterdir()] == ["controller.npz"]

@@ -149,6 +149,9 @@ def test_innovations(plausible):
 def test_the_first_contact_shows_the_sign(plausible):
     down = (0.0, 0.0, -1.0)
     assert plausible.pushes((0.5, -0.5, -0.3), down)
+    for i, j in np.ndindex(3, 3):
+        force, direction = (0.05 * (np.arange(3) == i)).tolist(), (1.0 * (np.arange(3) == j)).tolist()
+        assert plausible.pushes(force, direction) == (i == j)
     assert not plausible.pushes((0.5, -0.5, 0.3), down)
     assert not plausible.pushes((0.5, -0.5, 0.0), down)
     assert plausible.pushes((1.0, -2.0, 0.5), (0.6, -0.3, 0.1))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from deploy.record import record
+from deploy.record import FUNCTIONS, functions, record
 
 
 class Pair(NamedTuple):
@@ -118,6 +118,28 @@ def test_numpy_numbers_on_either_side_are_constants():
     half = np.float64(0.5)
     recorded = record(lambda x: (half * x, x * half, half - x), (0.0,))
     assert recorded.function(3.0) == (1.5, 1.5, -2.5)
+
+
+def test_functions_are_recorded_once_and_of_constants_computed():
+    def turning(x):
+        return (
+            functions.sin(x) * functions.cos(x),
+            functions.sin(x),
+            functions.sqrt(x * x + functions.sqrt(2)),
+            functions.sin(0.5),
+        )
+
+    recorded = record(turning, (0.0,))
+    assert recorded.source.count("sin(") == 1
+    assert recorded.operations == 6
+    for x in (0.3, -2.0):
+        expected = (math.sin(x) * math.cos(x), math.sin(x), math.sqrt(x * x + math.sqrt(2)), math.sin(0.5))
+        assert recorded.function(x) == expected == turning(x)
+
+
+def test_a_recording_reaches_nothing_else():
+    assert set(record(lambda x: x + 1.0, (0.0,)).function.__globals__) == {"__builtins__", "recorded", *FUNCTIONS}
+    assert record(lambda x: x + 1.0, (0.0,)).function.__globals__["__builtins__"] == {}
 
 
 @pytest.mark.parametrize("constant", [math.inf, -math.inf, math.nan])

@@ -27,10 +27,22 @@ class Mutant(NamedTuple):
     line: int
     before: str
     after: str
-    tree: ast.Module
+    source: str
+    node: int
+    """Its place among all nodes of the source."""
+    choice: int
+    """Which of the node's wrong versions it is."""
 
     def __str__(self) -> str:
         return f"{self.line}: {self.before} → {self.after}"
+
+    @property
+    def tree(self) -> ast.Module:
+        """The wrong module."""
+        whole = ast.parse(self.source)
+        old = list(ast.walk(whole))[self.node]
+        new = ast.copy_location(copy.deepcopy(list(_changes(old))[self.choice]), old)
+        return ast.fix_missing_locations(_Replace(old, new).visit(whole))
 
 
 def _changes(node: ast.AST) -> Iterator[ast.AST]:
@@ -90,18 +102,13 @@ def mutants(source: str) -> list[Mutant]:
         if annotation is not None
         for part in ast.walk(annotation)
     } | {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "strict"}
-    nodes = list(ast.walk(tree))
-    found = []
-    for index, node in enumerate(nodes):
-        if id(node) in skipped:
-            continue
-        for change in _changes(node):
-            mutated = copy.deepcopy(tree)
-            position = list(ast.walk(mutated))[index]
-            wrong = ast.fix_missing_locations(ast.copy_location(copy.deepcopy(change), position))
-            whole = ast.fix_missing_locations(_Replace(position, wrong).visit(mutated))
-            found.append(Mutant(getattr(node, "lineno", 0), _text(node), _text(change), whole))
-    return sorted(found, key=lambda mutant: (mutant.line, mutant.before, mutant.after))
+    found = [
+        Mutant(getattr(node, "lineno", 0), _text(node), _text(change), source, index, choice)
+        for index, node in enumerate(ast.walk(tree))
+        if id(node) not in skipped
+        for choice, change in enumerate(_changes(node))
+    ]
+    return sorted(found)
 
 
 class _Replace(ast.NodeTransformer):

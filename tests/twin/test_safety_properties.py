@@ -105,7 +105,7 @@ def four(low, high):
     return st.tuples(*(st.floats(a, b) for a, b in zip(low, high, strict=True)))
 
 
-@settings(max_examples=300)
+@settings(max_examples=60)
 @given(
     joint_torque=four((5.0,) * 4, HIGHEST["joint_torque"]),
     motor_torque=four((0.2,) * 4, HIGHEST["motor_torque"]),
@@ -119,20 +119,19 @@ def test_for_any_limits_and_pucks(joint_torque, motor_torque, torque_rate, ipnm,
     try:
         sender = Sender(limits, ipnm, pidx)
     except InputError as error:
-        assert "torque_rate" in str(error)
-        return
+        if error.key.startswith("limits.torque_rate"):
+            return
+        raise
     for each in wanted:
         # three times, so that limits are reached from where they are near
         for _ in range(3):
             assert sender.send(each)[0] is None
     # zero is reached by steps that are all accepted
-    for _ in range(2000):
-        reason, units = sender.send(REST)
-        assert reason is None
-        if np.max(np.abs(units)) <= 1:
-            break
-    else:
-        raise AssertionError("zero was not reached")
+    steps = 0
+    while np.max(np.abs(sender.checker.torque)) > 0.05:
+        assert sender.send(REST)[0] is None
+        steps += 1
+        assert steps < 2000
 
 
 @given(st.binary(min_size=0, max_size=9), st.integers(0, 0x7FF), st.sampled_from(list(Strictness)))
