@@ -99,12 +99,12 @@ class Limits:
     def default(cls, tip: Sequence[float]) -> "Limits":
         """Sensible ones for work on soft tissue around a place.
 
-        Torques are half of what the cables bear (wam.md §2.5): libbarrett's own 20 N m on J2 leave 12 beside gravity, and
-        a controller that meets a beating heart needs 20 for some milliseconds; cut off there it may lose its stability,
-        as any loop with a gain reduction margin does. Joint ranges are OpenWAM's (§1.3); the rest is chosen here. The
-        law turns counts of the force sensor into torque at once: clean runs of Table I on the simulated arm change it
-        by up to 1.8, 4.7, 1.3 and 1.0 N m a sample, on viscous tissue (1900 N/m) by 2.9, 7.5, 2.0 and 1.5 N m. So the
-        usual 1 N m a sample would clamp all the time; 1.3 times the largest of those does not.
+        Torques are half of what the cables bear (wam.md §2.5): libbarrett's own 20 N m on J2 leave 12 beside gravity,
+        and a controller that meets a beating heart needs 20 for some milliseconds; cut off there it may lose its
+        stability, as any loop with a gain reduction margin does. Joint ranges are OpenWAM's (§1.3); the rest is chosen
+        here. The law turns counts of the force sensor into torque at once: clean runs of Table I on the simulated arm
+        change it by up to 1.8, 4.7, 1.3 and 1.0 N m a sample, on viscous tissue (1900 N/m) by 2.9, 7.5, 2.0 and 1.5.
+        So the usual 1 N m a sample would clamp all the time; 1.3 times the largest of those does not.
 
         Args:
             tip: Where the tip works, in the shoulder's frame (3,) [m].

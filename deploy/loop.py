@@ -18,7 +18,7 @@ from deploy.safety.reasons import Reason
 from deploy.statistics import Statistics
 from deploy.wam.arm import Reading
 
-REPLIES = 0.6
+REPLIES = 0.7
 """Share of the period that replies are waited for; asking, computing and sending need the rest."""
 LINGER = 1.0
 """How long the arm is still held once nothing leads on, before it is let go [s]."""

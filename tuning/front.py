@@ -61,7 +61,7 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
     """
     if z is None:
         way = climb(spec, folder, progress)
-        spec, z = way.spec, way.steps[-1].state.leader_z
+        spec, z = msgspec.structs.replace(way.spec, pareto=spec.pareto), way.steps[-1].state.leader_z
     # Of a floor the smaller is the looser.
     combined = list(product(*(sorted(values, reverse=not _floor(name)) for name, values in spec.pareto.items())))
     limits = {name: np.array([row[i] for row in combined]) for i, name in enumerate(spec.pareto)}

@@ -82,6 +82,8 @@ class Situation(NamedTuple):
     """Spent in this state."""
     touched: int = 0
     """Of them the last in a row that touched."""
+    let_go: bool = False
+    """Whether the arm has been let go, once and for all."""
 
     @property
     def over(self) -> bool:
@@ -110,12 +112,13 @@ def step(now: Situation, seen: Seen) -> Situation:
     state, reason = _next(now, seen)
     if state is now.state and reason is now.reason:
         return now._replace(cycles=now.cycles + 1, touched=now.touched + 1 if seen.touching else 0)
-    return Situation(state, reason, now.detail if reason is now.reason else seen.detail)
+    detail = now.detail if reason is now.reason else seen.detail
+    return Situation(state, reason, detail, let_go=now.let_go or reason.lets_go)
 
 
 def task_of(now: Situation, position_age: int) -> Task:
     """What to do in a situation with positions of this age [cycles]."""
-    if now.reason.lets_go or position_age > HELD:
+    if now.let_go or position_age > HELD:
         return Task.OFF
     task = _TASKS[now.state]
     return Task.GRAVITY if position_age > BRIDGED and task is not Task.OFF else task
@@ -125,8 +128,10 @@ def _next(now: Situation, seen: Seen) -> tuple[State, Reason]:
     state, reason = now.state, now.reason
     found = _gravest(seen)
     if state is State.FAULT:
+        if reason is Reason.POSITION_LOST and seen.danger is Reason.LATE:
+            return state, Reason.LATE  # they were not lost, as shows only now
         # Only what lets the arm go may replace a reason to hold it.
-        return (state, found) if found.lets_go and not reason.lets_go else (state, reason)
+        return (state, found) if found.lets_go and not now.let_go else (state, reason)
     if state is State.IDLE:
         return (
             (State.ARMED, Reason.NONE)

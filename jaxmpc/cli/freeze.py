@@ -22,7 +22,7 @@ GOLDEN_FROM, GOLDEN_SAMPLES = 2.0, 256
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
-    parser.add_argument("params", help="a params.toml, or a published set: text, printed")
+    parser.add_argument("params", help="a params.toml, or a published set: text, printed, cautious")
     parser.add_argument("-o", "--output", type=Path, default=Path("controller.npz"), help="(controller.npz)")
     parser.add_argument(
         "--experiment",

@@ -31,7 +31,7 @@ def everything():
     ages = (0, BRIDGED, BRIDGED + 1, HELD, HELD + 1)
     bits = (False, True)
     for hazard, age, danger, doubt, finish in product(
-        hazards, ages, (NONE, Reason.WORKSPACE), (NONE, Reason.FORCE_LOST), (NONE, Reason.OPERATOR)
+        hazards, ages, (NONE, Reason.WORKSPACE, Reason.LATE), (NONE, Reason.FORCE_LOST), (NONE, Reason.OPERATOR)
     ):
         for active, touching, travelled, armed, start in product(bits, repeat=5):
             yield Seen(hazard, age, danger, doubt, "", active, touching, travelled, armed, start, finish)
@@ -80,7 +80,16 @@ def test_a_hazard_lets_go_within_the_cycle_and_never_comes_back(state, hazard):
     now = step(Situation(state), READY._replace(hazard=hazard, detail="puck 3"))
     assert (now.state, now.reason, now.detail) == (State.FAULT, hazard, "puck 3")
     assert task_of(now, 0) is Task.OFF
-    assert all(step(now, seen)[:3] == now[:3] for seen in everything())
+    later = [step(now, seen) for seen in everything()]
+    assert all(each[:3] == now[:3] or each.reason is Reason.LATE for each in later)
+    assert all(task_of(each, 0) is Task.OFF for each in later)
+
+
+def test_lost_positions_that_turn_out_late_are_called_so_and_change_nothing():
+    lost = step(Situation(State.CONTACT), READY._replace(hazard=Reason.POSITION_LOST))
+    late = step(lost, READY._replace(danger=Reason.LATE))
+    assert (late.state, late.reason) == (State.FAULT, Reason.LATE)
+    assert task_of(late, 0) is Task.OFF
 
 
 def test_positions_two_cycles_old_control_three_hold_and_twenty_one_let_go():

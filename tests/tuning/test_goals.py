@@ -65,11 +65,12 @@ def test_a_goal_of_the_runs_sees_its_axis_and_its_reference() -> None:
     rms = np.arange(1.0, 25.0).reshape(2, 4, 3)
     before = rms * 2.0
     before[1, 2, 0] = np.nan
-    limits = {"rms": 2.0, "rms_z": 4.0, "rms_ratio": 0.5, "effort_x": 10.0, OVERSHOOT: 0.2}
+    limits = {"rms": 2.0, "rms_z": 4.0, "rms_ratio": 0.5, "effort_x": 10.0, "chatter": 4.0, OVERSHOOT: 0.2}
     found = measured(cells(rms=rms), cells(rms=before), np.array([0.1, 0.3]), limits)
     np.testing.assert_allclose(found["rms"], rms / 2.0)
     np.testing.assert_allclose(found["rms_z"], rms[..., 2:] / 4.0)
     np.testing.assert_allclose(found["effort_x"], 0.1)
+    np.testing.assert_allclose(found["chatter"], np.full((2, 4, 3), 0.25))
     np.testing.assert_allclose(found[OVERSHOOT].ravel(), [0.5, 1.5])
     ratio = np.asarray(found["rms_ratio"])
     assert ratio[1, 2, 0] == 0.0, "where the controller before was unstable there is nothing to compare with"

@@ -1,6 +1,7 @@
 """The whole objective: gradients in both modes, diagonals, the way back from an unstable loop."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -9,9 +10,10 @@ import numpy as np
 import pytest
 
 from jaxmpc import margins
+from jaxmpc.precision import in_float64
 from tuning import TuneSpec
 from tuning.goals import standing
-from tuning.objective import Values, look
+from tuning.objective import HEADROOM, PEAK_TO_RMS, PENALTY, Values, look, measure, seen, seen_soft
 from tuning.optimise import optimiser
 from tuning.problem import Problem, problem_of, training
 
@@ -34,7 +36,8 @@ def central(values: np.ndarray) -> np.ndarray:
 def around(z: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Four points per direction, flattened to rows."""
     points = z + np.array([-2.0, -1.0, 1.0, 2.0])[None, :, None] * STEP * directions[:, None, :]
-    return points.reshape(-1, len(z))
+    rows: np.ndarray = points.reshape(-1, len(z))
+    return rows
 
 
 def in_eights(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
@@ -91,6 +94,71 @@ def test_full_diagonals_have_a_gradient_per_entry(small: Job) -> None:
     names = np.asarray(space.names)
     dead = {name for name, slope in zip(names, found, strict=True) if slope == 0.0}
     assert dead == {f"lam[{i}]" for i in range(6, 17)} | {f"delta[{i}]" for i in range(31, 65)}
+
+
+SOFT = {"chatter": 0.6, "effort_z": 2.0, "peak_to_peak": 0.35}
+HARD = {"chatter": 0.5, "effort_x": 1.0, "peak_to_peak": 0.5}
+
+
+def test_a_level_without_time_sees_all_but_peaks_and_has_stand_ins_for_them() -> None:
+    def level(spectra: Any, **soft: float) -> Any:
+        return SimpleNamespace(spectra=spectra, soft=soft)
+
+    assert seen(HARD, level(None)) == tuple(HARD)
+    assert seen(HARD, level("some")) == ("chatter", "effort_x")
+    assert seen_soft(level(None, **SOFT)) == SOFT
+    assert seen_soft(level("some", **SOFT)) == {"chatter": 0.6, "effort_z": 2.0, "rms": 0.35 / PEAK_TO_RMS}
+    assert seen_soft(level("some", peak_to_peak_ratio=0.7)) == {"rms_ratio": 0.7}
+    assert seen_soft(level("some", peak_to_peak_ratio=0.7, rms_x=0.1)) == {"rms_x": 0.1}, "a residual leads already"
+
+
+@pytest.mark.slow
+def test_effort_and_chatter_are_goals_from_spectra_as_in_time(small: Job) -> None:
+    """With the text design, which misses both."""
+    experiment = {"published": "table-1-wam", "duration": 6.0, "settle": 2.0}
+    goals = {"M_s": 6.0, **HARD, "ideal": False, "soft": SOFT}
+    spec = TuneSpec.from_dict(small(experiment=experiment, goals=goals))
+    problem, space = problem_of(spec, "frequency", training(spec, spec.tune.train_seeds)), spec.space
+    assert problem.hard_goals == ("chatter", "effort_x")
+    assert problem.soft_goals == ("chatter", "effort_z", "rms")
+    # Off the kinks of the soft mask, which whole horizons can stand on.
+    z = space.encode(spec.params) + 0.07
+    found = problem.look(np.tile(z, (8, 1)), 3.0)
+    chatter, effort, rms = (
+        np.asarray(field[0]) for field in (found.cells.chatter, found.cells.effort, found.cells.rms)
+    )
+    np.testing.assert_allclose(found.hard[0, 1:], [chatter.max() / 0.5, effort[..., 0].max() / 1.0])
+    expected = [chatter.max() / 0.6, effort[..., 2].max() / 2.0, rms.max() * PEAK_TO_RMS / 0.35]
+    np.testing.assert_allclose(found.soft[0], expected)
+    missed = sum(1.0 - 1.0 / value + HEADROOM for value in found.hard[0, 1:])
+    assert float(found.loss[0]) == pytest.approx(float(np.log(found.score[0])) + PENALTY * missed)
+    losses = in_eights(lambda rows: problem.look(rows, 3.0).loss, around(z, np.eye(space.size)))
+    slope = central(losses.reshape(space.size, 4))
+    np.testing.assert_allclose(found.gradient[0], slope, atol=1e-6 * np.abs(slope).max(), rtol=0)
+
+
+@pytest.mark.slow
+@in_float64
+def test_levels_agree_on_effort_and_chatter(small: Job) -> None:
+    """To 5 %: noise makes nearly all of both, and that the linear loop knows to 3 %."""
+    tune = {"starts": 2, "duration": 6.0, "settle": 2.5, "levels": ["frequency", "arm"]}
+    params = {"K2": 40.0, "T_cl": 2e-4, "Khat_s": 800.0, "Q_p": 1.5}
+    spec = TuneSpec.from_dict(
+        small(experiment={"published": "table-1-wam"}, params=params, tune=tune, goals={"ideal": False})
+    )
+    levels = (problem_of(spec, level, training(spec, (0,))) for level in spec.ladder)
+    coarse, fine = (measure(spec.params, level.data, level.kind) for level in levels)
+    np.testing.assert_allclose(coarse.chatter, fine.chatter, rtol=0.05)
+    np.testing.assert_allclose(coarse.effort, fine.effort, rtol=0.05)
+
+
+@pytest.mark.slow
+def test_a_start_that_stands_still_has_a_slope(small: Job) -> None:
+    """Unstable, it stands still, so that its effort is 0."""
+    spec = TuneSpec.from_dict(small(params={"Khat_s": 200.0}, goals={"effort": 3.0}))
+    values = problem(spec).look(np.tile(spec.space.encode(spec.params), (8, 1)), 1.0)
+    assert np.isposinf(values.M_s[0, -1])
+    assert np.isfinite(values.gradient).all()
 
 
 @pytest.mark.slow

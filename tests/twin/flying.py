@@ -64,6 +64,10 @@ class Flight:
         later = self.force_time >= self.contact + start
         return float(np.linalg.norm(self.force[later], axis=1).max(initial=0.0))
 
+    def push(self) -> float:
+        """Largest true push on the tissue since contact [N]; an attached tip that leaves also pulls."""
+        return float(-self.force[self.force_time >= self.contact, 2].min(initial=0.0))
+
     def detected(self, since: float) -> int:
         """Cycles from a time until the state left contact; −1 if it never did."""
         for time, now in zip(self.time, self.situations, strict=True):
