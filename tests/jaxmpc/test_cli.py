@@ -167,6 +167,7 @@ def test_unstable_controller_is_told_and_the_rest_drawn(tmp_path: Path, capsys: 
     assert len(list((tmp_path / "out").iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_where_nothing_is_stable_nothing_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = experiment_file(tmp_path, stiffness=[1900.0])
     assert main(["simulate", path, "--params", "printed", "-o", str(tmp_path / "out")]) == 1

@@ -21,7 +21,7 @@ replace = msgspec.structs.replace
 SHORT = replace(Experiment.published("table-1"), duration=4.0, settle=3.0)
 
 
-@pytest.mark.parametrize("damping", ["ideal", "sampled"])
+@pytest.mark.parametrize("damping", [pytest.param("ideal", marks=pytest.mark.slow), "sampled"])
 @pytest.mark.parametrize(
     "params", [Params(), Params(architecture="aob"), Params(architecture="mpc", Q_p=1e3, Hp=60, Hu=10)]
 )
@@ -140,8 +140,15 @@ def central(function: Callable[[jax.Array], jax.Array], step: float) -> np.ndarr
     return np.array([float(function(POINT + s) - function(POINT - s)) / (2.0 * step) for s in shifts])
 
 
-@pytest.mark.parametrize("damping", ["ideal", "sampled"])
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    ("damping", "mode"),
+    [
+        ("sampled", "reverse"),
+        pytest.param("ideal", "reverse", marks=pytest.mark.slow),
+        pytest.param("sampled", "forward", marks=pytest.mark.slow),
+        pytest.param("ideal", "forward", marks=pytest.mark.slow),
+    ],
+)
 def test_gradient_through_design_and_loop_is_the_central_difference(damping: str, mode: str) -> None:
     experiment = replace(
         SHORT,

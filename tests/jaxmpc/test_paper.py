@@ -79,11 +79,13 @@ def test_printed_design_is_nearly_unstable_at_1600() -> None:
     assert at(Params.published("printed"), 1600.0).M_s == pytest.approx(65.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_observer_alone_has_the_known_peaks() -> None:
     found = margins(Params(architecture="aob"), TISSUES, ideal=True)
     np.testing.assert_allclose(np.asarray(found.M_s)[[0, 1, 4]], [6.9, 2.0, 3.8], atol=0.06)
 
 
+@pytest.mark.slow
 def test_as_it_runs_the_text_design_is_a_little_worse_on_foam() -> None:
     """Sampled, filtered damping and the sensor's low-pass: 4.5 instead of 4.29 (definitions)."""
     assert at(Params.published("text"), 1900.0, ideal=False).M_s == pytest.approx(4.52, abs=0.01)

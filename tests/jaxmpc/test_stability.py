@@ -161,6 +161,7 @@ def test_unstable_loops_have_a_radius_with_a_gradient() -> None:
     assert slope < 0.0
 
 
+@pytest.mark.slow
 def test_batches_and_stiffness_sets_keep_their_shape() -> None:
     batch = Params.stack([Params(), Params(Q_p=2.0)])
     found = margins(batch, np.array([375.0, 810.0, 1900.0]), ideal=True)

@@ -65,6 +65,7 @@ def test_who_never_fails_ends_with_0(
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == files
 
 
+@pytest.mark.slow
 def test_who_fails_ends_with_1_and_the_count(peaks: dict[str, float], capsys: pytest.CaptureFixture[str]) -> None:
     peaks["first"] = 2.5
     assert main(["trials", "text", "--trials", "3"]) == 1

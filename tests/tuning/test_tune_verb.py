@@ -77,6 +77,7 @@ def test_a_tuned_controller_comes_with_its_proof(
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_goals_that_nobody_meets_end_with_a_sentence(
     small: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
