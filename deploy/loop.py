@@ -108,6 +108,14 @@ class Loop:
         Args:
             wishes: Of the operator, at first.
         """
+        try:
+            return self._run(wishes)
+        except BaseException:
+            # A defect of this program: whatever it is, the arm is let go before anybody reads about it.
+            self._let_go(self._clock.now())
+            raise
+
+    def _run(self, wishes: Wishes) -> Ended:
         clock, arm, statistics = self._clock, self._cycle.arm, self.statistics
         deadline = started = last = clock.now() + self._period
         late, over = False, 0
@@ -134,9 +142,10 @@ class Loop:
             deadline, late = statistics.cycle(deadline, woke, ended)
             over = over + 1 if done.situation.state in (State.STOPPED, State.FAULT) else 0
             if over > (letting_go if done.task is Task.OFF else linger):
-                return self._let_go(done, deadline)
+                self._let_go(deadline)
+                return Ended(done.situation, self._contact)
 
-    def _let_go(self, done: Done, deadline: int) -> Ended:
+    def _let_go(self, deadline: int) -> None:
         """Zero torque and idle, several times."""
         arm = self._cycle.arm
         zero = arm.torque_frame((0.0, 0.0, 0.0, 0.0))
@@ -148,7 +157,6 @@ class Loop:
                 self._idle()
             if self._watchdog is not None:
                 self._watchdog.beat(self._clock.now(), False)
-        return Ended(done.situation, self._contact)
 
     def _send(self, done: Done, woke: int) -> None:
         arm, now, frame = self._cycle.arm, self._clock.now(), done.frame

@@ -29,10 +29,10 @@ _SAID = {
 class Console:
     """Prints from a thread of its own: a terminal that is slow, or stopped, must not stop the arm."""
 
-    def __init__(self, out: TextIO = sys.stdout) -> None:
-        """Begin to write to a terminal or a file."""
+    def __init__(self, out: TextIO | None = None) -> None:
+        """Begin to write to a terminal or a file, standard output if none is given."""
         self._lines: deque[str] = deque(maxlen=CAPACITY)
-        self._out, self._closing = out, threading.Event()
+        self._out, self._closing = out or sys.stdout, threading.Event()
         self._thread = threading.Thread(target=self._work, name="console", daemon=True)
         self._thread.start()
 

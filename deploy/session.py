@@ -22,6 +22,7 @@ from deploy.loop import REASONS, STATES, Clock, Ended, Loop, Watching
 from deploy.recorder import FlightRecorder
 from deploy.reference import Source
 from deploy.safety.clamp import Clamp
+from deploy.safety.machine import Situation
 from deploy.statistics import Statistics
 from deploy.wam.arm import Arm
 from deploy.wam.startup import startup
@@ -141,9 +142,14 @@ class Session:
         self.statistics = loop.statistics
         return loop.run(wishes)
 
-    def write(self, path: Path, digest: str, ended: Ended) -> str:
-        """Write the flight recording; a sentence on what became of it."""
-        situation = ended.situation
+    def write(self, path: Path, digest: str, situation: Situation) -> str:
+        """Write the flight recording; a sentence on what became of it.
+
+        Args:
+            path: Where to.
+            digest: sha256 of the controller.
+            situation: In which it ended.
+        """
         header = {
             "artifact": digest,
             "reason": str(situation.reason),

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import count
 from math import cos, isfinite, radians, sin
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -90,6 +91,9 @@ def run(args: argparse.Namespace) -> int:
     except ArtifactError as error:
         print(f"jaxmpc run: refused: {args.artifact}: {error}", file=sys.stderr)
         return 1
+    if artifact.arm is None:
+        remedy = "Freeze it with an experiment on the arm: `jaxmpc freeze PARAMS --experiment table-1-wam`."
+        raise InputError("kind", artifact.kind, "wam: a linear controller only replays", remedy)
     _check(args)
     digest = hashlib.sha256(data).hexdigest()
     print(f"{args.artifact}: sha256 {digest}")
@@ -107,6 +111,8 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     from deploy.candump import BusLog
     from deploy.operator import Console, Operator
     from deploy.realtime import Clock, prepared
+    from deploy.safety.machine import Situation, State
+    from deploy.safety.reasons import Reason
     from deploy.session import Session
     from deploy.watchdog import Watchdog, bus_flags
 
@@ -140,16 +146,25 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     console = Console()
     operator = Operator(console, lambda: session.controller.contact_time, args.duration, auto or not keys, keys)
     each = _activating(clock.twin, operator.each) if args.lockstep else operator.each
-    ended = session.run(operator.wishes, watchdog, each)
+    try:
+        ended = session.run(operator.wishes, watchdog, each)
+    except BaseException:
+        console.close()
+        print(session.write(_recording(args.output), digest, Situation(State.FAULT, Reason.ERROR)))
+        raise
     console.close()
     print(session.statistics.report())
     print("\n".join(session.notes()))
     if args.record or not ended.well:
-        args.output.mkdir(parents=True, exist_ok=True)
-        name = next(path for i in range(10_000) if not (path := args.output / f"flight-{i:04d}.npz").exists())
-        print(session.write(name, digest, ended))
+        print(session.write(_recording(args.output), digest, ended.situation))
     print(f"ended: {ended.situation.state}, {ended.situation.reason} {ended.situation.detail}".rstrip())
     return 0 if ended.well else 1
+
+
+def _recording(folder: Path) -> Path:
+    """A new file's name in the folder of recordings."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return next(path for i in count() if not (path := folder / f"flight-{i:04d}.npz").exists())
 
 
 def _twin(args: argparse.Namespace) -> tuple[Any, Any]:

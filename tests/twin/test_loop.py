@@ -1,0 +1,113 @@
+"""The loop itself, in lock-step: clocks that jump, watchdogs that act or are gone, and a defect of the program."""
+
+import pytest
+
+from deploy.bus import Bus
+from deploy.cycle import Wishes
+from deploy.puck.codec import unpack_torques
+from deploy.reference import ramps
+from deploy.safety.machine import State
+from deploy.safety.reasons import Reason
+from deploy.session import Options, Session
+from deploy.twin.lockstep import Clock, LockstepBus
+from deploy.twin.settings import Settings
+from deploy.twin.twin import Twin
+from tests.deploy.made import arm_artifact
+
+AT = 1200
+"""The cycle in which it happens: in contact."""
+
+
+class Watchdog:
+    def __init__(self):
+        self.fired, self.there, self.beats = False, True, []
+
+    def beat(self, now, torques_on):
+        self.beats.append((now, torques_on))
+
+    def answers(self, now):
+        return self.there
+
+
+@pytest.fixture
+def run():
+    """Fly; `happen(clock, watchdog)` is called within cycle `AT`."""
+
+    def fly(happen):
+        twin = Twin(Settings(gap=0.003, rhythm="none"))
+        clock = Clock(twin)
+        frames = []
+        bus = Bus(LockstepBus(clock), clock.now)
+        log = lambda frame, stamp, sent: frames.append((stamp, any(unpack_torques(frame.data))))  # noqa: E731
+        options = Options(ramps("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False, log=log)
+        session = Session(arm_artifact(), bus, clock, options, lambda sentence: None)
+        watchdog, cycles, when = Watchdog(), [], []
+
+        def each(done):
+            cycles.append(done.situation)
+            if len(cycles) == 50:
+                twin.press("activate")
+            if len(cycles) == AT:
+                assert done.situation.state is State.CONTACT
+                when.append(clock.now())
+                happen(clock, watchdog)
+            return Wishes(True, True, Reason.FINISHED if len(cycles) > AT + 300 else Reason.NONE)
+
+        try:
+            ended = session.run(Wishes(True, True), watchdog, each)
+        finally:
+            bus.close()
+            driven = [stamp for stamp, drives in frames if when and stamp > when[0] and drives]
+            watchdog.driven, watchdog.mode = driven, twin.safety.mode
+            watchdogs.append(watchdog)
+        return ended, session
+
+    watchdogs = []
+    fly.watchdogs = watchdogs
+    return fly
+
+
+def test_after_standing_still_nothing_is_computed_from_what_is_old(run):
+    ended, session = run(lambda clock, _: clock.wait_until(clock.now() + 100_000_000))
+    assert (ended.situation.state, ended.situation.reason) == (State.FAULT, Reason.STALLED)
+    (watchdog,) = run.watchdogs
+    assert watchdog.driven == []
+    assert watchdog.mode == 1
+    assert session.statistics.overruns == 1
+
+
+def test_a_few_missed_cycles_end_in_holding(run):
+    ended, _ = run(lambda clock, _: clock.wait_until(clock.now() + 8_000_000))
+    assert (ended.situation.state, ended.situation.reason) == (State.FAULT, Reason.LATE)
+    (watchdog,) = run.watchdogs
+    assert len(watchdog.driven) > 500  # gravity, for a second
+
+
+def test_one_missed_cycle_is_counted_and_flown_over(run):
+    ended, session = run(lambda clock, watchdog: (clock.wait_until(clock.now() + 2_000_000), watchdog.beats.clear()))
+    assert session.statistics.overruns == 1
+    assert ended.situation.reason is not Reason.LATE
+
+
+@pytest.mark.parametrize("reason", [Reason.STALLED, Reason.WATCHDOG])
+def test_a_watchdog_that_has_acted_or_is_gone_lets_go_at_once(run, reason):
+    def happen(clock, watchdog):
+        watchdog.fired, watchdog.there = reason is Reason.STALLED, reason is not Reason.WATCHDOG
+
+    ended, _ = run(happen)
+    assert (ended.situation.state, ended.situation.reason) == (State.FAULT, reason)
+    (watchdog,) = run.watchdogs
+    assert watchdog.driven == []
+    assert [on for _, on in watchdog.beats[:AT]] == [True] * AT
+    assert not any(on for _, on in watchdog.beats[-20:])
+
+
+def test_a_defect_of_the_program_lets_go_before_it_is_told(run):
+    def happen(clock, watchdog):
+        raise RuntimeError("a defect")
+
+    with pytest.raises(RuntimeError, match="a defect"):
+        run(happen)
+    (watchdog,) = run.watchdogs
+    assert watchdog.driven == []
+    assert watchdog.mode == 1

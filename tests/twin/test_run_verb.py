@@ -1,0 +1,86 @@
+import pytest
+
+from deploy.artifact import Artifact, to_bytes
+from jaxmpc.cli import main
+from tests.deploy.conftest import trace
+from tests.deploy.made import arm_artifact, margin_row, text_gains
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory):
+    path = tmp_path_factory.mktemp("frozen") / "controller.npz"
+    path.write_bytes(to_bytes(arm_artifact()))
+    return path
+
+
+@pytest.fixture
+def fly(controller, tmp_path, capsys):
+    def run(*flags):
+        code = main(["run", str(controller), "--lockstep", "--rhythm", "none", "-o", str(tmp_path / "flights"), *flags])
+        return code, capsys.readouterr()
+
+    return run
+
+
+def test_a_run_that_ends_well_leaves_no_recording_unless_asked(fly, tmp_path):
+    code, said = fly("--duration", "0.5")
+    assert code == 0
+    assert "contact: the controller is in charge" in said.out
+    assert "ended: stopped, finished" in said.out
+    assert not (tmp_path / "flights").exists()
+
+
+def test_a_fault_is_recorded_named_and_replayed(fly, tmp_path, controller, capsys):
+    log = tmp_path / "bus.log"
+    code, said = fly("--fault", "force:off@5", "--duration", "3", "--bus-log", str(log))
+    assert code == 1
+    assert "ended: stopped, force-lost" in said.out
+    (flight,) = (tmp_path / "flights").iterdir()
+    assert main(["replay", str(flight), "--artifact", str(controller)]) == 0
+    assert "written because: force-lost" in capsys.readouterr().out
+    assert "can0 401#AA" in log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--hz", "500"], ["500 Hz", "1000 Hz", "Freeze"]),
+        (["--reference", "0,0,-50"], ["50 N", "at most 12 N"]),
+        (["--reference", "nowhere.csv"], ["nowhere.csv", "existing file"]),
+        (["--fault", "force:stuk@3"], ["force:stuk@3", "stuck"]),
+        (["--rhythm", "bigemini"], ["bigeminy"]),
+        (["--mount", "1,2"], ["--mount", "three angles"]),
+        (["--duration", "0"], ["--duration", "86400"]),
+        (["--approach-speed", "500"], ["--approach-speed", "50"]),
+        (["--sensor", "ati"], ["--sensor", "jr3"]),
+        (["--rate", "inf"], ["--rate", "100"]),
+    ],
+)
+def test_wrong_arguments_exit_2_with_a_sentence(fly, flags, words):
+    code, said = fly(*flags)
+    assert code == 2
+    assert said.err.count("\n") == 1
+    assert all(word in said.err for word in words), said.err
+
+
+def test_a_linear_controller_only_replays(tmp_path, capsys):
+    gains, row = text_gains(), margin_row(810.0)
+    golden = trace(gains, 40, False)
+    linear = Artifact(gains, 1e-3, 10.0, False, {"lam": 0.1}, [row], {"M_s": 2.0}, {"made": "here"}, *golden)
+    path = tmp_path / "linear.npz"
+    path.write_bytes(to_bytes(linear))
+    assert main(["run", str(path), "--lockstep"]) == 2
+    assert "only replays" in capsys.readouterr().err
+
+
+def test_what_is_no_controller_is_refused(tmp_path, capsys):
+    assert main(["run", str(tmp_path / "nothing.npz"), "--lockstep"]) == 2
+    (tmp_path / "foreign.npz").write_bytes(b"PK" + bytes(200))
+    assert main(["run", str(tmp_path / "foreign.npz"), "--lockstep"]) == 1
+    assert "refused" in capsys.readouterr().err
+
+
+def test_nothing_moves_without_the_controllers_name(controller, monkeypatch, capsys):
+    """Over a bus; python-can's virtual one has nobody on it, so even the start is refused."""
+    assert main(["run", str(controller), "-i", "virtual", "-c", "nobody", "--arm", "0" * 8]) == 1
+    assert "nobody answers on this bus" in capsys.readouterr().err
