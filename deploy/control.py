@@ -36,7 +36,7 @@ class Contacting:
     approach_limit: float = 0.06
     """Farthest way down without contact [m]."""
     threshold: float = 0.3
-    """Push that is a contact [N]."""
+    """Force that is a contact [N]."""
     retract_speed: float = 0.05
     """[m/s]"""
     retract_distance: float = 0.03
@@ -120,10 +120,8 @@ class Controller:
         return sum(n * (b - a) for n, a, b in zip(self.contacting.normal, start, end, strict=True))
 
     def touching(self, force: Three | None) -> bool:
-        """Whether the tip presses on something."""
-        if force is None:
-            return False
-        return -sum(n * f for n, f in zip(self.contacting.normal, force, strict=True)) > self.contacting.threshold
+        """Whether the tip touches something: a tissue that holds it may as well pull, or drag it aside."""
+        return force is not None and math.hypot(*force) > self.contacting.threshold
 
     @property
     def contact_time(self) -> float:

@@ -7,7 +7,7 @@ machine takes it, and the cycle ends with the frame of the task that is then all
 """
 
 from collections.abc import Callable
-from math import isfinite
+from math import dist, isfinite
 from typing import NamedTuple
 
 from deploy.angles import Angles
@@ -33,6 +33,9 @@ SILENT = 100
 """Cycles without a word of the safety module, which is asked every ten."""
 SETTLED = 0.5
 """Time in contact [s] after which the observers' innovation tells something of the sensor."""
+ASTRAY = 2.0
+"""How far the force in contact never is from that which is wanted [N]: clean runs stay below 1 N, a sensor with a wrong
+sign passes it within some milliseconds."""
 CHANGING = 0.2
 """Time after an activation in which pucks may still tell their old mode [s]."""
 JOINTS = ("J1", "J2 and J3 (motor 2)", "J2 and J3 (motor 3)", "J4")
@@ -216,7 +219,10 @@ class Cycle:
         if turned is None:
             return None, Reason.NONE
         x, y, z = turned
-        return turned, Reason.FORCE if x * x + y * y + z * z > self.limits.force**2 else Reason.NONE
+        if x * x + y * y + z * z > self.limits.force**2:
+            return turned, Reason.FORCE
+        astray = self.situation.state is State.CONTACT and dist(turned, controller.force_ref) > ASTRAY
+        return turned, Reason.FORCE_MODEL if astray else Reason.NONE
 
     def _hazard(self, reading: Reading, hazard: Reason) -> tuple[Reason, str]:
         """What forbids to drive the arm, and what of it."""

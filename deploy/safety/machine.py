@@ -61,7 +61,7 @@ class Seen(NamedTuple):
     active: bool = False
     """The pendant has activated the pucks."""
     touching: bool = False
-    """The force along the contact normal is above its threshold."""
+    """The force is above what is a contact."""
     travelled: bool = False
     """The approach or the retraction has gone as far as it may."""
     armed: bool = True

@@ -159,6 +159,12 @@ def test_the_same_flight_twice_is_the_same(cautious):
     assert one.frames == other.frames
 
 
+def test_a_sensor_with_the_wrong_sign_from_the_start_shows_at_first_contact(cautious):
+    flight = fly(cautious, "force:sign@0", stiffness=1900.0, seconds=3.0, gap=BEFORE)
+    assert (flight.ended.situation.state, flight.reason) == (State.STOPPED, Reason.FORCE_MODEL)
+    assert flight.peak() <= cautious.arm.limits.force
+
+
 def test_nothing_is_met(cautious):
     flight = fly(cautious, seconds=1.0, gap=0.08)
     assert (flight.ended.situation.state, flight.reason) == (State.STOPPED, Reason.NO_CONTACT)
