@@ -207,3 +207,16 @@ def test_slcan_takes_frames_only():
     assert talk.say(Frame(0x426, b"\x01\xff"), 0.0) == b"t426201FF\r"
     assert talk.hear(b"C\r", 0.0) == ([], b"\r")
     assert not talk.listens(0.0)
+
+
+def test_python_cans_slcan_client_talks_to_the_pucks(serve):
+    server = serve()
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    server.attach(os.fdopen(master, "rb", buffering=0), Slcan())
+    with can.Bus(interface="slcan", channel=os.ttyname(slave), bitrate=1_000_000, sleep_after_open=0.1) as bus:
+        bus.send(message(codec.get(0x404, P)))
+        found = [codec.decode(frame) for frame in hear(bus, 4)]
+    assert [reply.node for reply in found] == [1, 2, 3, 4]
+    os.close(slave)
