@@ -34,8 +34,8 @@ SILENT = 100
 SETTLED = 0.5
 """Time in contact [s] after which the observers' innovation tells something of the sensor."""
 ASTRAY = 2.0
-"""How far the force in contact never is from that which is wanted [N]: clean runs stay below 1 N, a sensor with a wrong
-sign passes it within some milliseconds."""
+"""How far the force in contact never is from that which is wanted [N]: premature beats bring it to 1.4 N, a sensor with
+a wrong sign passes it within some milliseconds."""
 CHANGING = 0.2
 """Time after an activation in which pucks may still tell their old mode [s]."""
 JOINTS = ("J1", "J2 and J3 (motor 2)", "J2 and J3 (motor 3)", "J4")

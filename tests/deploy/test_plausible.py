@@ -132,18 +132,18 @@ def test_repetitions_do_not_count_below_zero(plausible):
 
 def test_innovations(plausible):
     healthy = list(live(40))
-    quiet, edge = (0.1, 0.1, 0.1), (0.75, -0.75, 0.75)
+    quiet, edge = (0.1, 0.1, 0.1), (1.4, -1.4, 1.4)
     assert first(run(plausible, healthy, [edge] * 40)) is None
     for axis in range(3):
         for sign in (-1.0, 1.0):
-            loud = tuple(sign * 0.7501 if i == axis else 0.0 for i in range(3))
+            loud = tuple(sign * 1.4001 if i == axis else 0.0 for i in range(3))
             assert first(run(plausible, healthy, [quiet] * 10 + [loud, loud, quiet] * 10)) is None
             assert first(run(plausible, healthy, [quiet] * 10 + [loud, loud, None] * 10)) is None
             assert first(run(plausible, healthy, [quiet] * 10 + [loud] * 30)) == (12, Reason.FORCE_MODEL)
         nothing = tuple(math.nan if i == axis else 0.0 for i in range(3))
         assert first(run(plausible, healthy, [quiet] * 10 + [nothing] * 30)) == (12, Reason.FORCE_MODEL)
     assert first(run(plausible, healthy)) is None
-    assert first(run(plausible, healthy, [(1.0, 0.0, 0.0)] * 40)) == (2, Reason.FORCE_MODEL)
+    assert first(run(plausible, healthy, [(2.0, 0.0, 0.0)] * 40)) == (2, Reason.FORCE_MODEL)
 
 
 def test_the_first_contact_shows_the_sign(plausible):
