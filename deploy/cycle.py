@@ -31,6 +31,8 @@ FOREIGN, FOREIGN_CYCLES = 4, 2
 """Foreign frames in a cycle, so many cycles in a row, that are a babbling node: half of what a full bus can hold."""
 SILENT = 100
 """Cycles without a word of the safety module, which is asked every ten."""
+LATELY = 1000
+"""Cycles for which lateness explains replies that do not come."""
 SETTLED = 0.5
 """Time in contact [s] after which the observers' innovation tells something of the sensor."""
 ASTRAY = 2.0
@@ -122,7 +124,8 @@ class Cycle:
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
         self._age, self._foreign, self._busy, self._active = [0] * 4, arm.bus.counters.foreign, 0, 0
-        self._hosts, self._late = arm.bus.counters.hosts, arm.late
+        self._hosts = arm.bus.counters.hosts
+        self._late, self._late_at = arm.late, -LATELY
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
 
@@ -140,11 +143,12 @@ class Cycle:
         qd = runtime.velocity(q) if age <= machine.BRIDGED else ZERO
         where = self._where(q, qd)
         force, doubt = self._force(reading, where)
-        if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._replies_late()):
+        late = self._lately(timing)
+        if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and late):
             danger = Reason.LATE
         if timing.late:
             doubt = Reason.LATE
-        hazard, detail = self._hazard(reading, timing.hazard)
+        hazard, detail = self._hazard(reading, timing.hazard, late)
         seen = Seen(
             hazard,
             age,
@@ -189,8 +193,6 @@ class Cycle:
         for i, each in enumerate(counts):
             self._age[i] = 0 if each is not None else self._age[i] + 1 + missed
         age = max(self._age)
-        if age == 0:
-            self._late = self.arm.late
         oldest = culprit if reason is not None else self._age.index(age)
         if age <= machine.BRIDGED:
             for between in self._angles.take(counts, missed):
@@ -224,7 +226,7 @@ class Cycle:
         astray = self.situation.state is State.CONTACT and dist(turned, controller.force_ref) > ASTRAY
         return turned, Reason.FORCE_MODEL if astray else Reason.NONE
 
-    def _hazard(self, reading: Reading, hazard: Reason) -> tuple[Reason, str]:
+    def _hazard(self, reading: Reading, hazard: Reason, late: bool) -> tuple[Reason, str]:
         """What forbids to drive the arm, and what of it."""
         if hazard is not Reason.NONE:
             return hazard, ""
@@ -241,7 +243,7 @@ class Cycle:
         was_active, self._active = self._active, self._active + 1 if reading.safety_mode == 2 else 0
         if was_active and not self._active:
             return Reason.IDLE, ""
-        if min(self._age) >= machine.BRIDGED and not self._replies_late():
+        if min(self._age) >= machine.BRIDGED and not late:
             return Reason.POSITION_LOST, "no puck answers, as after an e-stop"
         if reading.safety_age > SILENT and self.arm.cycle > SILENT:
             return Reason.PENDANT_FAULT, "the safety module is silent"
@@ -256,9 +258,11 @@ class Cycle:
                     return Reason.PUCK_FAULT, f"puck {self.arm.pucks.nodes[i]} left its torque mode"
         return Reason.NONE, ""
 
-    def _replies_late(self) -> bool:
-        """Whether positions are missing because they came after their cycle: the bus or this computer is slow."""
-        return self.arm.late > self._late
+    def _lately(self, timing: Timing) -> bool:
+        """Whether this computer or a reply was late in the last second: then missing positions are late, not lost."""
+        if timing.missed or timing.late or self.arm.late > self._late:
+            self._late, self._late_at = self.arm.late, self.arm.cycle
+        return self.arm.cycle - self._late_at < LATELY
 
     def _babble(self, bus: Bus) -> bool:
         foreign = bus.counters.foreign

@@ -125,9 +125,9 @@ class Loop:
             woke = clock.now()
             missed = max(0, (woke - last) // self._period - 1) if woke > last else 0
             last = woke
-            timing = Timing(missed, late, self._judged(woke, missed))
             arm.request()
             reading = arm.collect(woke + int(REPLIES * self._period))
+            timing = Timing(missed, late, self._judged(woke, missed))
             done = self._cycle.step(reading, timing, wishes)
             self._send(done, woke)
             if self._watchdog is not None:
@@ -175,9 +175,10 @@ class Loop:
             assert check_service(frame) is None
             self._cycle.arm.bus.send(frame)
 
-    def _judged(self, now: int, missed: int) -> Reason:
-        """What clock and watchdog forbid."""
-        if missed > HELD:
+    def _judged(self, woke: int, missed: int) -> Reason:
+        """What clock and watchdog forbid, once the replies are there."""
+        now = self._clock.now()
+        if missed > HELD or now - woke > HELD * self._period:
             return Reason.STALLED
         if self._watchdog is not None:
             if self._watchdog.fired:

@@ -24,8 +24,8 @@ SOON = 0.010
 
 
 @contextmanager
-def robot(*flags):
-    """A twin in real time as a process of its own, and a listener on its bus that stamps every frame."""
+def robot(*flags, listening=True):
+    """A twin in real time as a process of its own, and a listener on its bus that stamps every frame, or none."""
     command = [
         sys.executable,
         "-m",
@@ -41,6 +41,13 @@ def robot(*flags):
     twin = subprocess.Popen([*command, *flags], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     port = next(int(found[1]) for line in twin.stdout if (found := re.search(r"port=(\d+)", line)))
     heard: list[tuple[float, int, bytes]] = []
+    if not listening:
+        try:
+            yield port, heard, None
+        finally:
+            twin.terminate()
+            twin.communicate(timeout=10.0)
+        return
     bus = can.Bus(interface="socketcand", host="127.0.0.1", port=port, channel="can0", tcp_tune=True)
     done = threading.Event()
 
@@ -117,7 +124,7 @@ def idled(heard, since):
 def test_a_killed_controller_leaves_an_idle_arm(tmp_path):
     with robot("--rhythm", "none") as (port, heard, bus):
         process = controller(tmp_path, port)
-        assert wait_for(lambda: len(driven(heard)) > 500, 60.0), process.communicate(timeout=5)
+        assert wait_for(lambda: len(driven(heard)) > 20, 60.0), process.communicate(timeout=5)
         process.send_signal(signal.SIGKILL)
         killed = time.monotonic()
         assert wait_for(lambda: idled(heard, killed) is not None, 5.0)
@@ -134,7 +141,7 @@ def test_a_killed_controller_leaves_an_idle_arm(tmp_path):
 def test_a_stopped_controller_computes_nothing_from_what_is_old(tmp_path):
     with robot("--rhythm", "none") as (port, heard, bus):
         process = controller(tmp_path, port)
-        assert wait_for(lambda: len(driven(heard)) > 500, 60.0), process.communicate(timeout=5)
+        assert wait_for(lambda: len(driven(heard)) > 20, 60.0), process.communicate(timeout=5)
         process.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
         time.sleep(0.1)
@@ -151,7 +158,7 @@ def test_a_stopped_controller_computes_nothing_from_what_is_old(tmp_path):
 
 @pytest.mark.slow
 def test_a_minute_in_real_time_completes_or_says_that_it_was_late(tmp_path):
-    with robot() as (port, _, _):
+    with robot(listening=False) as (port, _, _):
         process = controller(tmp_path, port, "--duration", "60")
         output, _ = process.communicate(timeout=150.0)
     assert "cycles of 1000 µs wanted" in output
