@@ -154,7 +154,8 @@ def _summary(folder: Path, swept: "Result", tuned: "TuneResult", arm: tuple[floa
     ideal, as_run = tuned.margins["ideal"], tuned.margins["as run"]
     before, after = tuned.worst
     best = swept.best(1, 2.0)
-    peaks = [" / ".join(number(x, 2) for x in np.asarray(ideal.M_s)[i]) for i in range(2)]
+    own = np.searchsorted(tuned.spec.judged_at, np.asarray(tuned.spec.experiment.stiffness))
+    peaks = [" / ".join(number(x, 2) for x in np.asarray(ideal.M_s)[i, own]) for i in range(2)]
     rows = [
         ["paper's text design", number(1e3 * arm[0], 1), number(1e3 * before, 1), peaks[0], *_worst(ideal, as_run, 0)],
         ["autotuned", number(1e3 * arm[1], 1), number(1e3 * after, 1), peaks[1], *_worst(ideal, as_run, 1)],
