@@ -87,7 +87,8 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(server.close)
         stack.enter_context(_keyboard(twin, server))
         granted = stack.enter_context(prepared(PRIORITY - 5))
-        stack.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, lambda *_: server.stop()))
+        for number in (signal.SIGTERM, signal.SIGINT):  # a shell's background job would ignore the latter
+            stack.callback(signal.signal, number, signal.signal(number, lambda *_: server.stop()))
         with contextlib.suppress(KeyboardInterrupt):
             if args.slcan:
                 _serial(server, stack)

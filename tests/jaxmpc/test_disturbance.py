@@ -149,6 +149,7 @@ def assert_is_the_calibrated_heart(found: Any) -> None:
     np.testing.assert_allclose(found.force, 0.810 * AMPLITUDES_MM, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_peaks_of_the_linear_loop() -> None:
     base = Experiment.published("table-1")
     assert_is_the_calibrated_heart(found_by_simulation(msgspec.structs.replace(base, stiffness=(810.0,))))

@@ -89,6 +89,7 @@ def test_float32_sums_lose_nothing_over_a_whole_experiment() -> None:
     np.testing.assert_allclose(coarse.metrics.rms, fine.metrics.rms, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_preview_follows_a_known_reference_better() -> None:
     moving = Experiment.published("figure-3")
     still = replace(moving, motion=replace(moving.motion, kind="none"), settle=9.5, duration=19.0)
@@ -164,6 +165,7 @@ def test_gradient_through_design_and_loop_is_the_central_difference(damping: str
     np.testing.assert_allclose(gradient, expected, atol=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_gradient_sees_through_the_quantiser() -> None:
     """A plain derivative of the quantiser would cut the feedback; a step of 1e-3 averages over its counts.
 

@@ -132,7 +132,7 @@ NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 @pytest.mark.parametrize(
     ("ideal", "mode"),
     [
-        (False, "reverse"),
+        pytest.param(False, "reverse", marks=pytest.mark.slow),
         pytest.param(True, "reverse", marks=pytest.mark.slow),
         pytest.param(False, "forward", marks=pytest.mark.slow),
     ],

@@ -45,7 +45,8 @@ def in_eights(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) ->
     return np.concatenate([function(part) for part in np.split(rows, len(rows) // 8)])
 
 
-@pytest.mark.parametrize("K2", [10.0, pytest.param(60.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("K2", [10.0, 60.0])
 def test_reverse_gradient_is_the_central_difference_for_every_parameter(small: Job, K2: float) -> None:
     spec = TuneSpec.from_dict(small(experiment=QUIET, params={"K2": K2, "Q_x": 1e-3}))
     see, space = problem(spec).look, spec.space

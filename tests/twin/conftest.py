@@ -4,6 +4,7 @@ import pytest
 
 from deploy.artifact import load
 from jaxmpc.cli import main
+from tests.deploy.made import arm_artifact
 
 
 def frozen(folder, params, *flags):
@@ -22,3 +23,9 @@ def cautious(tmp_path_factory):
 def text(tmp_path_factory):
     """The paper's, whose M_s of 4.5 no default floor accepts."""
     return frozen(tmp_path_factory.mktemp("frozen"), "text", "--max-ms", "5")
+
+
+@pytest.fixture(scope="session")
+def plain():
+    """The paper's gains as plain numbers, which need no freezing."""
+    return arm_artifact()

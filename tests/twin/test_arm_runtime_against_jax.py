@@ -78,6 +78,7 @@ def test_with_friction_compensation_preview_and_higher_order():
     assert max(torque for _, torque in found) <= TOLERANCE
 
 
+@pytest.mark.slow
 def test_another_law_would_be_seen(frozen):
     """A mass that is a billionth off."""
     _, artifact = frozen
@@ -110,6 +111,7 @@ def test_the_arm_of_plain_numbers_is_that_of_the_model_file():
     assert made.wam_chain()[1:] == chain()[1:]
 
 
+@pytest.mark.slow
 def test_freezing_from_parameters_to_a_file_that_runs(frozen):
     file, artifact = frozen
     again = load(file, expect_rate=1000.0, expect_robot=ROBOT)

@@ -121,6 +121,7 @@ def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys):
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_it_shows_where_a_flight_parts(tmp_path, capsys):
     controller = tmp_path / "controller.npz"
     controller.write_bytes(to_bytes(made.arm_artifact()))
