@@ -116,7 +116,7 @@ class Limits:
             motor_torque=(1.8, 1.8, 1.8, 1.6),
             torque_rate=(4000.0, 10000.0, 3000.0, 2000.0),
             joint_velocity=(2.0, 2.0, 2.0, 2.0),
-            tip_velocity=0.5,
+            tip_velocity=0.28,
             joint_range=((-2.60, 2.60), (-1.96, 1.96), (-2.73, 2.73), (-0.86, 3.13)),
             workspace=(box[0], box[1], box[2]),
             least_singular_value=0.05,

@@ -20,6 +20,11 @@ TOUCHED = 3
 """Cycles in a row above the contact threshold that make a contact."""
 
 
+BRAKES = frozenset({Reason.JOINT_VELOCITY, Reason.TIP_VELOCITY, Reason.ELBOW_VELOCITY, Reason.WORKSPACE})
+"""Faults after which the arm brakes and withdraws while its positions are fresh: one that only bears its weight coasts
+on into the tissue, with 29 N where braking leaves 9 N (a force 20 ms old, on a stiffening tissue)."""
+
+
 class State(StrEnum):
     """Of the arm."""
 
@@ -121,6 +126,8 @@ def task_of(now: Situation, position_age: int) -> Task:
     if now.let_go or position_age > HELD:
         return Task.OFF
     task = _TASKS[now.state]
+    if now.reason in BRAKES:
+        task = Task.RETRACT
     return Task.GRAVITY if position_age > BRIDGED and task is not Task.OFF else task
 
 

@@ -126,11 +126,17 @@ def test_doubt_retracts_and_keeps_its_reason():
 
 
 def test_a_fault_that_holds_may_still_become_one_that_lets_go():
-    now = step(Situation(State.CONTACT), READY._replace(danger=Reason.WORKSPACE))
+    now = step(Situation(State.CONTACT), READY._replace(danger=Reason.JOINT_RANGE))
     assert task_of(now, 0) is Task.GRAVITY
     now = step(now, READY._replace(hazard=Reason.E_STOP))
     assert now.reason is Reason.E_STOP
     assert task_of(now, 0) is Task.OFF
+
+
+def test_who_was_too_fast_brakes_while_positions_are_fresh():
+    now = step(Situation(State.CONTACT), READY._replace(danger=Reason.TIP_VELOCITY))
+    assert [task_of(now, age) for age in (0, 2, 3, 20, 21)] == [Task.RETRACT] * 2 + [Task.GRAVITY] * 2 + [Task.OFF]
+    assert task_of(step(now, READY._replace(hazard=Reason.E_STOP)), 0) is Task.OFF
 
 
 def test_every_reason_has_its_sentence():

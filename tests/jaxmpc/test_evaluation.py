@@ -23,7 +23,12 @@ SHORT = replace(Experiment.published("table-1"), duration=4.0, settle=3.0)
 
 @pytest.mark.parametrize("damping", [pytest.param("ideal", marks=pytest.mark.slow), "sampled"])
 @pytest.mark.parametrize(
-    "params", [Params(), Params(architecture="aob"), Params(architecture="mpc", Q_p=1e3, Hp=60, Hu=10)]
+    "params",
+    [
+        Params(),
+        pytest.param(Params(architecture="aob"), marks=pytest.mark.slow),
+        pytest.param(Params(architecture="mpc", Q_p=1e3, Hp=60, Hu=10), marks=pytest.mark.slow),
+    ],
 )
 def test_the_loop_is_scipys(independent_loop: Callable[..., Any], params: Params, damping: str) -> None:
     """Every sample of three seconds on three stiffnesses and axes, quantiser off: 1e-9 of the largest force."""

@@ -39,6 +39,7 @@ def at(params: Params, stiffness: float, *, ideal: bool = True) -> Margins:
     return Margins(*(np.asarray(value)[TISSUES.tolist().index(stiffness)] for value in found))
 
 
+@pytest.mark.slow
 def test_printed_design_is_unstable_on_foam() -> None:
     found = at(Params.published("printed"), 1900.0)
     assert found.status == Status.UNSTABLE

@@ -222,7 +222,7 @@ NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 
 
 @pytest.mark.parametrize(("architecture", "order"), [("mpc-aob", 1), ("aob", 1), ("mpc", 1), ("mpc-aob", 2)])
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
+@pytest.mark.parametrize("mode", [pytest.param("forward", marks=pytest.mark.slow), "reverse"])
 def test_gradient_of_the_design_is_the_central_difference(architecture: str, order: int, mode: str) -> None:
     """Relative to the largest component over log-parameters: scale-free, and R and δ stay fixed."""
     point = jnp.log(jnp.array([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0]))

@@ -56,6 +56,7 @@ def deviations(experiment, params, stiffness):
     return found
 
 
+@pytest.mark.slow
 def test_a_second_on_five_stiffnesses():
     found = deviations(SHORT, Params(), STIFFNESS)
     assert len(found) == 5

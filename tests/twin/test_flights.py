@@ -120,13 +120,10 @@ def test_a_dead_or_mad_force_sensor_ends_contact_gently_on_every_tissue(cautious
 @pytest.mark.slow
 @pytest.mark.parametrize("tissue", KINDS)
 @pytest.mark.parametrize("word", ["slow", "delayed", "delayed=3", "wrong", "wrong=0.5", "sign", "intermittent=0.2"])
-def test_a_lying_force_sensor_stays_within_the_hard_limits(cautious, tissue, word, record_property, request):
-    if (tissue, word) == ("fung", "delayed"):
-        # Seen after 0.18 s, when a measured force 20 ms old has already let it stiffen to 17 N.
-        request.applymarker(pytest.mark.xfail(reason="17.0 N of 15 N", strict=True))
+def test_a_lying_force_sensor_stays_within_the_hard_limits(cautious, tissue, word, record_property):
     flight = sensor_fault(cautious, word, tissue=tissue)
     assert flight.peak() <= cautious.arm.limits.force
-    assert flight.ended.situation.state is State.STOPPED
+    assert flight.ended.situation.state in (State.STOPPED, State.FAULT)
     record_property("seen", f"{flight.reason} after {flight.detected(FAULT_AT)} cycles, {flight.peak():.2f} N")
 
 
@@ -157,6 +154,7 @@ def test_no_torque_frame_ever_breaks_a_limit(cautious):
     assert (np.abs(np.diff(joints, axis=0))[both] <= np.array(limits.torque_rate) * 1e-3).all()
 
 
+@pytest.mark.slow
 def test_the_same_flight_twice_is_the_same(cautious):
     one, other = (fly(cautious, seconds=1.0, gap=BEFORE, seed=5) for _ in range(2))
     assert one.frames == other.frames
@@ -168,6 +166,7 @@ def test_a_sensor_with_the_wrong_sign_from_the_start_shows_at_first_contact(caut
     assert flight.peak() <= cautious.arm.limits.force
 
 
+@pytest.mark.slow
 def test_nothing_is_met(cautious):
     flight = fly(cautious, seconds=1.0, gap=0.08)
     assert (flight.ended.situation.state, flight.reason) == (State.STOPPED, Reason.NO_CONTACT)

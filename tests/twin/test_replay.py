@@ -103,6 +103,7 @@ def test_both_programs_agree_with_the_flight(other_flight, capsys):
     assert "the same, within the tolerance" in out
 
 
+@pytest.mark.slow
 def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys):
     controller = tmp_path / "controller.npz"
     controller.write_bytes(to_bytes(made.arm_artifact()))
