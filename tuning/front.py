@@ -28,8 +28,6 @@ LEGS = 3
 """Descents with an exchange between them."""
 SHARE = 0.2
 """Share of the job's steps that a leg takes."""
-RATE = 0.1
-"""Of the job's learning rate: every leg begins at a good point, but its limits may ask for one farther away."""
 
 
 class Front(NamedTuple):
@@ -72,7 +70,7 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
     floors = np.array([_floor(name) for name in goals])
     starts = np.tile(z, (len(combined), 1))
     for leg in range(LEGS):
-        plan = schedule(max(1, round(SHARE * spec.tune.steps)), False, RATE * 0.5**leg * spec.tune.learning_rate)
+        plan = schedule(max(1, round(SHARE * spec.tune.steps)), False, spec.tune.learning_rate * 0.5**leg)
         plan = plan._replace(patience=len(plan.widths))
         state = descend(job, problem, starts, plan, folder, f"state-pareto-{leg + 1}.npz", progress)
         starts = handed_on(state, asked, floors)

@@ -27,7 +27,7 @@ def small() -> Callable[..., dict[str, Any]]:
             },
             "goals": {"ideal": True},
         }
-        return {name: {**table, **tables.get(name, {})} for name, table in base.items()}
+        return {name: {**base.get(name, {}), **tables.get(name, {})} for name in (*base, *tables)}
 
     return job
 
