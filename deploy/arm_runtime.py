@@ -127,12 +127,12 @@ class ArmRuntime:
         """Joint torques [N m] for an acceleration of the tip [m/s²] under a measured force [N]; the cascades rest."""
         self.last_a, self.last_force = acceleration, force
         self._bristles, torque = self._servo(self._bristles, q, qd, acceleration, force)
-        return torque  # type: ignore[no-any-return]
+        return torque  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
     def prediction(self) -> Triple:
         """What the observers expect to be measured next [N]."""
-        return self._predict(self._axes)  # type: ignore[no-any-return]
+        return self._predict(self._axes)  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
     def p_hat(self) -> Triple:

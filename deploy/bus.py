@@ -89,7 +89,7 @@ class Bus:
         """Whether it can be relied on; "off" is bus-off or a lost interface."""
         if self._state == "active" and self._bus.state is not can.BusState.ACTIVE:
             self._fail("off" if self._bus.state is can.BusState.ERROR else "error")
-        return self._state  # type: ignore[return-value]
+        return self._state  # type: ignore[return-value]  # only the three words are ever assigned
 
     def send(self, frame: Frame) -> bool:
         """Hand a frame to the driver; False if it was refused or, after an error, not even tried."""

@@ -177,7 +177,7 @@ class Cycle:
             refused = Seen(hazard=refusal) if refusal.lets_go else Seen(danger=refusal)
             self.situation = machine.step(self.situation, refused)
             if machine.task_of(self.situation, age) is task:
-                self.situation = Situation(State.FAULT, Reason.STATE, f"{task} was refused: {refusal}")
+                self.situation = Situation(State.FAULT, Reason.STATE, f"{task} was refused: {refusal}", let_go=True)
         if task is Task.CONTROL and acted.acted:
             self.controller.runtime.applied(applied)
         return Done(frame, self.situation, task, acted, q, qd, where, force, wanted, applied)

@@ -140,7 +140,7 @@ class Loop:
             ended = clock.now()
             self._recorder.append(self._row(done, reading, woke - started, woke - deadline, ended - woke))
             deadline, late = statistics.cycle(deadline, woke, ended)
-            over = over + 1 if done.situation.state in (State.STOPPED, State.FAULT) else 0
+            over = over + 1 if done.situation.over else 0
             if over > (letting_go if done.task is Task.OFF else linger):
                 self._let_go(deadline)
                 return Ended(done.situation, self._contact)

@@ -10,7 +10,7 @@ from types import FrameType
 from typing import TextIO
 
 from deploy.cycle import Done, Wishes
-from deploy.safety.machine import Situation, State, Task
+from deploy.safety.machine import State, Task
 from deploy.safety.reasons import EXPLANATION, Reason
 
 CAPACITY = 1000
@@ -24,6 +24,7 @@ _SAID = {
     State.STOPPED: "stopped: held, then let go",
     State.FAULT: "FAULT",
 }
+_ENDS = {Task.OFF: "is let go", Task.RETRACT: "brakes and withdraws"}
 
 
 class Console:
@@ -72,7 +73,7 @@ class Operator:
         """
         self._console, self._contact_time, self._duration = console, contact_time, duration
         self._start, self._stop = start, False
-        self._shown: tuple[Situation, Task, bool] | None = None
+        self._shown: tuple[State, Reason, Task] | None = None
         self._state = State.IDLE
         signal.signal(signal.SIGINT, self._interrupted)
         signal.signal(signal.SIGTERM, self._interrupted)
@@ -89,10 +90,8 @@ class Operator:
     def each(self, done: Done) -> Wishes:
         """Show what has changed; say what is wanted."""
         now = done.situation
-        shown = self._shown
-        if shown is None or (now.state, now.reason, done.task) != (shown[0].state, shown[0].reason, shown[1]):
-            self._shown = now, done.task, False
-            self._state = now.state
+        if (showing := (now.state, now.reason, done.task)) != self._shown:
+            self._shown, self._state = showing, now.state
             self._console.say(_line(done))
         return self.wishes
 
@@ -115,5 +114,5 @@ def _line(done: Done) -> str:
     if now.reason is not Reason.NONE:
         text += f" ({now.reason}{': ' + now.detail if now.detail else ''}): {EXPLANATION[now.reason]}"
     if now.state is State.FAULT:
-        text += " The arm is let go." if done.task is Task.OFF else " The arm is held against gravity."
+        text += f" The arm {_ENDS.get(done.task, 'is held against gravity')}."
     return text

@@ -18,8 +18,6 @@ HELD = 20
 """Age up to which gravity is still compensated at the last positions [cycles]; beyond it the arm is let go."""
 TOUCHED = 3
 """Cycles in a row above the contact threshold that make a contact."""
-
-
 BRAKES = frozenset({Reason.JOINT_VELOCITY, Reason.TIP_VELOCITY, Reason.ELBOW_VELOCITY, Reason.WORKSPACE})
 """Faults after which the arm brakes and withdraws while its positions are fresh: one that only bears its weight coasts
 on into the tissue, with 29 N where braking leaves 9 N (a force 20 ms old, on a stiffening tissue)."""
