@@ -39,6 +39,8 @@ class Standing(NamedTuple):
 
     normalised: Float[Array, "goals ..."]
     """M_s/limit or limit/margin [-]: at most 1 where met, ∞ where unstable."""
+    inverse: Float[Array, "goals ..."]
+    """Its inverse [-]: at least 1 where met, 0 where unstable."""
     violation: Float[Array, "..."]
     """What is to be brought to zero [-], summed over goals and stiffness; see `standing`."""
 
@@ -64,7 +66,7 @@ def standing(margins: Margins, limits: Mapping[str, Any], headroom: float = 0.0)
     inverse = jnp.where(stable, inverse, 0.0)
     missed = jnp.sum(jnp.maximum(1.0 - inverse + headroom, 0.0))
     outside = jnp.sum(jnp.maximum(jnp.log(margins.spectral_radius), 0.0)) + inverse.size
-    return Standing(1.0 / inverse, jnp.where(jnp.all(stable), missed, outside))
+    return Standing(1.0 / inverse, inverse, jnp.where(jnp.all(stable), missed, outside))
 
 
 def measured(

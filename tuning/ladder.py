@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.progress import progress
+from tuning.mapping import PROPOSED, refine
 from tuning.optimise import descend, schedule
 from tuning.problem import Problem, problem_of, training
 from tuning.settings import Level
@@ -66,7 +67,12 @@ def climb(spec: TuneSpec, folder: Path | None = None, show: bool = False) -> Cli
     job, steps = jobs[best], [firsts[best]]
     for level in job.ladder[1:]:
         last = level == job.ladder[-1]
-        problem = problem_of(job, level, _met(job, spare=last))
+        met = _met(job, spare=last)
+        problem = problem_of(job, level, met)
+        if last and mapped(job):
+            z = proposed(job, steps[-1].state, PROPOSED * job.tune.starts)
+            state = refine(job, problem, met, z, folder, _file("mapping", job), show)
+            steps.append(Step("mapping", level, problem, state))
         z = proposed(job, steps[-1].state, job.tune.starts if last else COARSE * job.tune.starts)
         share = LAST if last else BETWEEN
         plan = schedule(max(1, round(share * job.tune.steps)), False, LATER_RATE * job.tune.learning_rate)
@@ -78,11 +84,21 @@ def climb(spec: TuneSpec, folder: Path | None = None, show: bool = False) -> Cli
             break
         met[len(job.tune.train_seeds) + i] = found.trained
         problem = problem_of(job, job.ladder[-1], met)
-        plan = schedule(max(1, round(ROUND * job.tune.steps)), False, LATER_RATE * job.tune.learning_rate)
-        z = proposed(job, steps[-1].state, job.tune.starts)
-        state = descend(job, problem, z, plan, folder, _file(f"round-{i + 1}", job), show)
+        file = _file(f"round-{i + 1}", job)
+        if mapped(job):
+            z = proposed(job, steps[-1].state, PROPOSED * job.tune.starts)
+            state = refine(job, problem, met, z, folder, file, show)
+        else:
+            plan = schedule(max(1, round(ROUND * job.tune.steps)), False, LATER_RATE * job.tune.learning_rate)
+            z = proposed(job, steps[-1].state, job.tune.starts)
+            state = descend(job, problem, z, plan, folder, file, show)
         steps.append(Step(f"round {i + 1}", job.ladder[-1], problem, state, found))
     return Climb(job, steps, orders)
+
+
+def mapped(spec: TuneSpec) -> bool:
+    """Whether spectra, which the linear world does without, propose to the last level."""
+    return spec.ladder[0] == "frequency" and spec.ladder[-1] == "arm" and spec.tune.mapping > 0
 
 
 def proposal(spec: TuneSpec, folder: Path | None, show: bool) -> Step:

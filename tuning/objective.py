@@ -21,7 +21,7 @@ from jaxmpc.stability.residual import residual_rms
 from jaxmpc.stability.spectrum import Spectrum
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.contact import Contact, hertz
-from tuning.goals import OVERSHOOT, PEAK, measured, standing
+from tuning.goals import OVERSHOOT, PEAK, Standing, measured, standing
 from tuning.risk import Risk, soft_worst
 from tuning.transforms import Axis, Space
 
@@ -72,6 +72,9 @@ class Data(NamedTuple):
     scene: Scene
     spectra: Any
     """Of the scenarios, stacked: then no time is stepped. Else None."""
+    correction: Metrics | None
+    """Factors on what the spectra say, (starts, stiffness, scenarios, 3); on the RMS for what they do not see. None
+    corrects nothing."""
     base: Params
     """Values of what is frozen."""
     margins: Mapping[str, Any]
@@ -122,7 +125,7 @@ def designed(params: Params, data: Data, width: Any, kind: Kind) -> Designed:
 def cells_of(controllers: Designed, data: Data, kind: Kind) -> Metrics:
     """What is measured of every controller, (starts, stiffness, scenarios, 3); traceable.
 
-    From spectra it is residual RMS, effort and chatter; the peaks are NaN.
+    From spectra it is residual RMS, effort and chatter; the peaks are NaN, or with a correction a multiple of the RMS.
     """
     scene, world = data.scene, kind.world
     if data.spectra is None:
@@ -141,7 +144,11 @@ def cells_of(controllers: Designed, data: Data, kind: Kind) -> Metrics:
     over_scenarios = jax.vmap(spectral, in_axes=(None, None, 0))
     over_tissues = jax.vmap(over_scenarios, in_axes=(None, 0, None))
     found: Metrics = jax.vmap(over_tissues, in_axes=(0, 0, None))(controllers.gains, controllers.contacts, data.spectra)
-    return found
+    if data.correction is None:
+        return found
+    seen_by_it = found._replace(peak_to_peak=found.rms, peak_force=found.rms, peak_error=found.rms)
+    corrected: Metrics = jax.tree.map(jnp.multiply, seen_by_it, data.correction)
+    return corrected
 
 
 def overshoot_of(controllers: Designed, kind: Kind) -> Float[Array, "starts stiffness"]:
@@ -153,19 +160,42 @@ def overshoot_of(controllers: Designed, kind: Kind) -> Float[Array, "starts stif
     return jnp.maximum(metrics.peak_force[..., 0] - 1.0, 0.0)
 
 
-def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> tuple[Float[Array, " starts"], Any]:
-    """Loss of every start; traceable. Starts are innermost in the time loop, so they cost little.
+class Judged(NamedTuple):
+    """All starts judged by their goals, each (starts, …)."""
 
-    Returns:
-        Loss [-]; and the fields of `Values` after the gradient.
-    """
+    controllers: Designed
+    stable: Any
+    margins: Standing
+    cells: Metrics
+    """(starts, stiffness, scenarios, 3)"""
+    soft: dict[str, Array]
+    """Normalised, (starts, stiffness, scenarios, 1 or 3) [-]."""
+    risk: Any
+    """Of the soft goals [-]."""
+    hard: list[Array]
+    """Hard goals on the runs at their worst [-]."""
+
+    @property
+    def log_risk(self) -> Array:
+        """0 where unstable."""
+        return jnp.log(jnp.where(self.stable & (self.risk > 0.0), self.risk, 1.0))
+
+    @property
+    def shortfall(self) -> list[Array]:
+        """1 − 1/g per hard goal on the runs, and the headroom: at most 0 where met well inside [-]."""
+        # What is met by far, such as the effort of a loop that stands still, has a slope of 0 and not of 0 · ∞.
+        return [1.0 - 1.0 / jnp.maximum(goal, 0.5) + HEADROOM for goal in self.hard]
+
+
+def judged(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> Judged:
+    """Design, run and judge every start; traceable. Starts are innermost in the time loop, so they cost little."""
     space = Space(data.base, kind.axes)
 
-    def one(vector: Array, limits: Any) -> tuple[Designed, Any]:
+    def one(vector: Array, limits: Any) -> tuple[Designed, Standing]:
         controller = designed(space.decode(vector, width), data, width, kind)
         return controller, standing(controller.found, limits, HEADROOM)
 
-    controllers, margin_goals = jax.vmap(one)(z, data.margins)
+    controllers, margins = jax.vmap(one)(z, data.margins)
     stable = jnp.all(controllers.found.spectral_radius < 1.0, axis=1)
     # An unstable loop would run away and make even the unused slope NaN: it stands still instead.
     safe = controllers._replace(gains=jax.tree.map(lambda gain: _where(stable, gain, 0.0), controllers.gains))
@@ -179,27 +209,42 @@ def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> 
     soft, hard = goals(seen_soft(data)), goals({name: data.hard[name] for name in seen(data.hard, data)})
     per_scenario = jnp.concatenate([jnp.moveaxis(goal, 2, 1).reshape(*goal.shape[::2], -1) for goal in _wide(soft)], 2)
     risk = kind.risk.over(soft_worst(per_scenario))
-    worst_soft, worst_hard = ([jnp.max(goal, axis=(1, 2, 3)) for goal in goals.values()] for goals in (soft, hard))
-    # What is met by far, such as the effort of a loop that stands still, has a slope of 0 and not of 0 · ∞.
-    near = (jnp.maximum(goal, 0.5) for goal in worst_hard)
-    missed = sum((jnp.maximum(1.0 - 1.0 / goal + HEADROOM, 0.0) for goal in near), jnp.zeros(len(z)))
-    log_risk = jnp.log(jnp.where(stable & (risk > 0.0), risk, 1.0))
-    loss = log_risk + PENALTY * (margin_goals.violation + jnp.where(stable, missed, 0.0))
+    return Judged(controllers, stable, margins, cells, soft, risk, [jnp.max(g, axis=(1, 2, 3)) for g in hard.values()])
+
+
+def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> tuple[Float[Array, " starts"], Any]:
+    """Loss of every start; traceable.
+
+    Returns:
+        Loss [-]; and the fields of `Values` after the gradient.
+    """
+    found = judged(z, data, width, kind)
+    missed = sum((jnp.maximum(value, 0.0) for value in found.shortfall), jnp.zeros(len(z)))
+    loss = found.log_risk + PENALTY * (found.margins.violation + jnp.where(found.stable, missed, 0.0))
 
     def where_stable(value: Array) -> Array:
-        return _where(stable, value, jnp.nan)
+        return _where(found.stable, value, jnp.nan)
 
-    tissue = jnp.argmax(jnp.max(jnp.stack([jnp.max(goal, axis=(2, 3)) for goal in soft.values()]), axis=0), axis=1)
-    at_worst = [jnp.max(margin_goals.normalised, axis=2)] + [goal[:, None] for goal in worst_hard]
+    per_tissue = jnp.stack([jnp.max(goal, axis=(2, 3)) for goal in found.soft.values()])
+    worst_soft = [jnp.max(goal, axis=(1, 2, 3)) for goal in found.soft.values()]
+    at_worst = [jnp.max(found.margins.normalised, axis=2)] + [goal[:, None] for goal in found.hard]
     return loss, (
-        where_stable(risk),
-        where_stable(jnp.max(cells.rms, axis=(1, 2, 3))),
-        tissue,
-        controllers.found.M_s,
-        jnp.where(stable[:, None], jnp.concatenate(at_worst, axis=1), jnp.inf),
+        where_stable(found.risk),
+        where_stable(jnp.max(found.cells.rms, axis=(1, 2, 3))),
+        jnp.argmax(jnp.max(per_tissue, axis=0), axis=1),
+        found.controllers.found.M_s,
+        jnp.where(found.stable[:, None], jnp.concatenate(at_worst, axis=1), jnp.inf),
         where_stable(jnp.stack(worst_soft, axis=1)),
-        jax.tree.map(where_stable, cells),
+        jax.tree.map(where_stable, found.cells),
     )
+
+
+def constrained(z: Float[Array, "starts size"], data: Data, kind: Kind) -> Float[Array, "starts values"]:
+    """The same as a program with constraints: log risk, then what must be at most 0, whole horizons; traceable."""
+    found = judged(z, data, 1.0, kind)
+    margins = (1.0 + HEADROOM - found.margins.inverse).reshape(len(z), -1)
+    runs = [jnp.where(found.stable, value, 1.0)[:, None] for value in found.shortfall]
+    return jnp.concatenate([found.log_risk[:, None], margins, *runs], axis=1)
 
 
 @partial(jax.jit, static_argnames=("kind",))
@@ -221,9 +266,16 @@ def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, k
     return Values(loss, gradient, *rest)
 
 
+def value_alone(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> Values:
+    """The same look without the slopes, which are NaN; traceable."""
+    loss, rest = look(z, data, width, kind)
+    return Values(loss, jnp.full_like(z, jnp.nan), *rest)
+
+
 def seen(goals: Mapping[str, Any], data: Data) -> tuple[str, ...]:
     """The goals on the runs that a level can see: without time there are no peaks, only mean squares."""
-    return tuple(name for name in goals if data.spectra is None or not name.startswith(PEAK))
+    blind = data.spectra is not None and data.correction is None
+    return tuple(name for name in goals if not (blind and name.startswith(PEAK)))
 
 
 def seen_soft(data: Data) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.scene import Scene, scene_of, side_by_side, world_of
 from jaxmpc.stability.spectrum import spectrum_of
 from jaxmpc.uncompensated import uncompensated_acceleration
-from tuning.objective import Data, Kind, Values, measure, seen, seen_soft, value_and_gradient
+from tuning.objective import Data, Kind, Values, measure, seen, seen_soft, value_alone, value_and_gradient
 from tuning.scenarios import scenarios, scene_over
 from tuning.settings import Level
 from tuning.spec import TuneSpec
@@ -37,6 +37,13 @@ class Problem(NamedTuple):
             z: Unconstrained parameters, (starts, size).
             width: Softness of the horizons, 1 is whole [samples].
         """
+        return self._dealt_out(value_and_gradient, z, width)
+
+    def evaluate(self, z: np.ndarray) -> Values:
+        """The same with whole horizons and without the gradient (NaN), at a fraction of its price."""
+        return self._dealt_out(value_alone, z, 1.0)
+
+    def _dealt_out(self, function: Callable[..., Values], z: np.ndarray, width: float) -> Values:
         missing = -len(z) % len(jax.local_devices())
 
         def wide(limit: Any) -> Any:
@@ -44,7 +51,7 @@ class Problem(NamedTuple):
 
         rows = z, jax.tree.map(wide, self.data.margins), jax.tree.map(wide, self.data.hard)
         padded = jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)]), rows)
-        found = _dealt(self.kind)(padded, self.data._replace(margins={}, hard={}), width)
+        found = _dealt(function, self.kind)(padded, self.data._replace(margins={}, hard={}), width)
         values: Values = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(z)], found)
         return values
 
@@ -67,14 +74,14 @@ class Problem(NamedTuple):
 
 
 @cache
-def _dealt(kind: Kind) -> Callable[..., Values]:
-    """Value and gradient, compiled once per kind and shapes; each device has its share of the starts."""
+def _dealt(function: Callable[..., Values], kind: Kind) -> Callable[..., Values]:
+    """Compiled once per kind and shapes; each device has its share of the starts."""
     spec: Any = PartitionSpec
     split, whole = spec("device"), spec()
 
     def on_device(rows: Any, data: Data, width: Any) -> Values:
         z, margins, hard = rows
-        return value_and_gradient(z, data._replace(margins=margins, hard=hard), width, kind)
+        return function(z, data._replace(margins=margins, hard=hard), width, kind)
 
     mesh = Mesh(np.array(jax.local_devices()), ("device",))
     mapped = jax.shard_map(on_device, mesh=mesh, in_specs=(split, whole, whole), out_specs=split, check_vma=False)
@@ -106,6 +113,7 @@ def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Probl
     data = Data(
         scene=scene,
         spectra=spectra,
+        correction=None,
         base=spec.params,
         margins=spec.margin_goals,
         hard=spec.hard_goals,

@@ -42,6 +42,9 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     margin_points: Annotated[int, msgspec.Meta(ge=0, le=1000)] = 33
     """Stiffnesses, evenly spaced in their logarithm from the experiment's softest to its hardest, at which margins are
     judged besides the experiment's own."""
+    mapping: Annotated[int, msgspec.Meta(ge=0, le=1000)] = 24
+    """Rounds of space mapping on the last level, where spectra come first: what the runs measure corrects the spectra,
+    which propose what to run next; at most."""
     rounds: Annotated[int, msgspec.Meta(ge=0, le=20)] = 0
     """How often the worst of `searched` scenarios is sought, added to training and tuned for, at most."""
     searched: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 64

@@ -1,6 +1,7 @@
 """What an evaluation and a gradient cost on this machine, measured once per folder of results."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -83,7 +84,7 @@ def prepared(spec: TuneSpec, key: str, path: Path) -> Costs:
     return costs
 
 
-def _seconds(function: object) -> float:
+def _seconds(function: Callable[[], object]) -> float:
     began = time.perf_counter()
-    function()  # type: ignore[operator]
+    function()
     return time.perf_counter() - began

@@ -1,6 +1,7 @@
 """The tuner of this package under a stopwatch: its `climb` as it is, every look timed and counted."""
 
 import time
+from collections.abc import Callable
 from unittest import mock
 
 import msgspec
@@ -19,40 +20,53 @@ def tuned(spec: TuneSpec, cost_ratio: float, rate: float, steps: int) -> Run:
 
     Args:
         spec: The job; its seed draws the random starts.
-        cost_ratio: What a look costs per controller, relative to an evaluation [-].
-        rate: Simulated steps per second of evaluations: what comes before the first look on the last level steps no
-            time there and counts as many steps as its wall-clock is worth.
+        cost_ratio: What a look with its gradient costs per controller, relative to an evaluation [-].
+        rate: Simulated steps per second of evaluations: whatever the tuner does but run the last level steps no time
+            there, and counts as many steps as its wall-clock is worth.
         steps: Simulated steps of an evaluation.
     """
     spent: list[Spent] = []
     least: list[float] = []
     best = np.inf, np.zeros(0), np.nan, np.inf
-    starts, coarse, inside, counted = np.zeros((0, 0)), Spent(), 0.0, 0.0
+    starts, coarse, inside, running, counted = np.zeros((0, 0)), Spent(), 0.0, 0.0, 0.0
     clock = Clock()
-    original = Problem.look
 
-    def look(problem: Problem, z: np.ndarray, width: float) -> Values:
-        nonlocal best, starts, coarse, inside, counted
-        last = decides(problem, spec)
-        if last and not spent:
-            before = clock.spent(0.0, 0.0)
-            worth = rate * before.seconds if len(spec.ladder) > 1 else 0.0
-            starts, coarse = z, before._replace(steps=worth, evaluations=worth / steps)
-        began = time.perf_counter()
-        values = original(problem, z, width)
-        inside += time.perf_counter() - began
-        if last:
-            # With soft horizons it is not the loss of a controller that there is.
-            losses = np.nan_to_num(values.loss, nan=LOST) if width == 1.0 else np.full(len(z), np.inf)
-            i = int(np.argmin(losses))
-            if losses[i] < best[0]:
-                best = float(losses[i]), z[i], float(values.score[i]), float(values.hard[i].max(initial=0.0))
-            counted += cost_ratio * len(z)
-            spent.append(clock.spent(coarse.evaluations + counted, coarse.steps + counted * steps))
-            least.append(best[0])
-        return values
+    def so_far() -> Spent:
+        worth = rate * max(clock.spent(0.0, 0.0).seconds - running, 0.0) / steps if len(spec.ladder) > 1 else 0.0
+        return clock.spent(counted + worth, (counted + worth) * steps)
 
-    with mock.patch.object(Problem, "look", look):
+    def timed(original: Callable[..., Values], price: float) -> Callable[..., Values]:
+        def look(problem: Problem, z: np.ndarray, width: float = 1.0) -> Values:
+            nonlocal best, starts, coarse, inside, running, counted
+            last = decides(problem, spec)
+            if last and not spent:
+                starts, coarse = z, so_far()
+            began = time.perf_counter()
+            values = original(problem, z, width)
+            took = time.perf_counter() - began
+            inside += took
+            if last:
+                # With soft horizons it is not the loss of a controller that there is.
+                losses = np.nan_to_num(values.loss, nan=LOST) if width == 1.0 else np.full(len(z), np.inf)
+                i = int(np.argmin(losses))
+                if losses[i] < best[0]:
+                    best = float(losses[i]), z[i], float(values.score[i]), float(values.hard[i].max(initial=0.0))
+                running += took
+                counted += price * len(z)
+                spent.append(so_far())
+                least.append(best[0])
+            return values
+
+        return look
+
+    def evaluated(problem: Problem, z: np.ndarray, _: float) -> Values:
+        return evaluate(problem, z)
+
+    evaluate = Problem.evaluate
+    with (
+        mock.patch.object(Problem, "look", timed(Problem.look, cost_ratio)),
+        mock.patch.object(Problem, "evaluate", timed(evaluated, 1.0)),
+    ):
         climb(spec)
     own = clock.spent(0.0, 0.0).seconds - inside
     return Run(np.array(spent), np.array(least), *best[1:], own, starts, np.array(coarse))
@@ -66,5 +80,5 @@ def decides(problem: Problem, spec: TuneSpec) -> bool:
 def warmed_up(spec: TuneSpec) -> float:
     """Compile every program of the tuner, by climbing in as few steps as there can be; seconds that this takes."""
     began = time.perf_counter()
-    climb(msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, steps=1)))
+    climb(msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, steps=1, mapping=2)))
     return time.perf_counter() - began

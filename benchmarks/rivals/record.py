@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -88,4 +88,5 @@ class Run:
         if header != {"kind": KIND, "key": key}:
             raise InputError("-o", path.parent, "a new folder, or one of this very job", "Choose another or remove it.")
         numbers = {name: float(arrays.pop(name)[()]) for name in ("score", "hard", "own")}
-        return Run(**arrays, **numbers)  # type: ignore[arg-type]
+        values: dict[str, Any] = {**arrays, **numbers}
+        return Run(**values)

@@ -8,7 +8,7 @@ Faults are named as PX4 names them. What each can see, and what it cannot:
     slow                too many samples that repeat the one before
     wrong, sign flip    when it sets in: a jump of the force, or an innovation of the observer; an encoder's as a jump.
                         A scale or bias that was there from the start looks like another tissue: it is *not* seen. A
-                        wrong sign from the start shows at first contact (`pushes`).
+                        wrong sign from the start shows at first contact, in the error of the force (`deploy.cycle`).
     delayed             not seen as such; the loop it destabilises breaks a limit, or the innovation's
 
 Each threshold stands between the fastest that a tissue, a motor or an observer does and the smallest fault that it is
@@ -107,11 +107,6 @@ def force_step(
     elif surprising >= INNOVATIONS:
         reason = Reason.FORCE_MODEL
     return ForceState(force, 0, equal, repeated, surprising), reason
-
-
-def pushes(force: Triple, direction: Triple) -> bool:
-    """Whether a force on the tissue [N] points where the tip goes: at first contact it must, or its sign is wrong."""
-    return force[0] * direction[0] + force[1] * direction[1] + force[2] * direction[2] > 0.0
 
 
 def repeats(noise: Sequence[float], lsb: Sequence[float], samples: int = STUCK) -> float:

@@ -276,7 +276,7 @@ def test_what_would_fill_the_memory_is_refused_before_it_does(make):
         (crowd, "table of contents has .* bytes, more than"),
         (lambda: member("header", b"{}"), "sealed, but not a jaxmpc file"),
         (lambda: b"hello", "sealed, but not a jaxmpc file"),
-        (lambda: seal([], {})[:-32], "its header is not a table"),  # type: ignore[arg-type]
+        (lambda: seal([], {})[:-32], "its header is not a table"),  # type: ignore[arg-type]  # a list instead
         (lambda: seal({}, {})[:-32], "not a controller: its schema is None"),
     ],
 )

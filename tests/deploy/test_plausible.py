@@ -146,20 +146,6 @@ def test_innovations(plausible):
     assert first(run(plausible, healthy, [(2.0, 0.0, 0.0)] * 40)) == (2, Reason.FORCE_MODEL)
 
 
-def test_the_first_contact_shows_the_sign(plausible):
-    down = (0.0, 0.0, -1.0)
-    assert plausible.pushes((0.5, -0.5, -0.3), down)
-    for i, j in np.ndindex(3, 3):
-        force, direction = (0.05 * (np.arange(3) == i)).tolist(), (1.0 * (np.arange(3) == j)).tolist()
-        assert plausible.pushes(force, direction) == (i == j)
-    assert not plausible.pushes((0.5, -0.5, 0.3), down)
-    assert not plausible.pushes((0.5, -0.5, 0.0), down)
-    assert plausible.pushes((1.0, -2.0, 0.5), (0.6, -0.3, 0.1))
-    assert not plausible.pushes((1.0, 2.0, 0.5), (0.1, -0.3, 0.1))
-    assert not plausible.pushes((-1.0, 0.2, 0.2), (0.6, 0.3, 0.2))
-    assert plausible.pushes((0.1, 0.1, 3.0), (-0.6, -0.3, 0.2))
-
-
 def test_chance_of_a_false_alarm(plausible):
     # against counting: equal pairs and triples of a rounded normal number, its mean on and between two counts
     draw = np.random.default_rng(11)

@@ -1,6 +1,7 @@
 """An independent model of the closed loop: numpy, matrices, matrix exponentials; nothing of the package."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ T_S = 1e-3
 HISTORY = 24
 
 
+@cache  # asked for every state of every loop, of which it takes most of the time
 def _hold(damping: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
     block = np.zeros((3, 3))
     block[:2] = [[0.0, 1.0, 0.0], [0.0, -damping, 1.0]]

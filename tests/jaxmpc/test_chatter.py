@@ -9,56 +9,32 @@ from typing import Any
 
 import jax
 import jax.flatten_util
-import jax.numpy as jnp
 import msgspec
 import numpy as np
 import pytest
 import scipy.linalg
 
 from jaxmpc import Params, design
-from jaxmpc.engine.cells import over_cells
-from jaxmpc.engine.rollout import run, scalars
 from jaxmpc.experiment import Experiment
 from jaxmpc.scene import scene_of
 from jaxmpc.stability.chatter import asked, chatter_rms, effort_rms
 from jaxmpc.stability.loop import contact_of
-from jaxmpc.stability.spectrum import Spectrum, spectrum_of
-from jaxmpc.world.contact import hertz
+from jaxmpc.stability.spectrum import spectrum_of
+from tests.jaxmpc.linear_loop import SILENT, T_S, TEXT, cases, check_gradient, matrices, settling, step_by_step, world
 
-T_S = 1e-3
-SENSOR = hertz(500.0)
-TEXT = Params()
-DAMPED = Params(K2=40.0, T_cl=2e-4, Khat_s=800.0, Q_p=1.5)
 NERVOUS = Params(K2=28.3, T_cl=1.5e-4, Khat_s=1900.0, Q_p=90.0, Q_x=7.9, lam=2.1, delta=0.9, Hp=19, Hu=13)
-CASES = [
-    (TEXT, 375.0, 1, True),
-    (TEXT, 810.0, 2, False),
-    (NERVOUS, 1900.0, 1, False),
-    (DAMPED, 810.0, 2, True),
-    (Params(architecture="aob"), 810.0, 1, False),
-]
-REFERENCE = 4
-"""State of the independent loop in which the MPC's output is kept."""
+CASES = cases(NERVOUS)
 
 
-def world(params: Params, K_s: Any, delay: int, ideal: bool) -> Any:
-    return contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=0.0 if ideal else SENSOR)
-
-
-def matrices(build: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool) -> tuple[Any, ...]:
+def asking(build: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool) -> tuple[Any, ...]:
     """The independent loop from heart, noise and an acceleration that acts at once to what is asked: a = v − K₂ẋ_f.
 
     Command and filtered velocity of a sample are in the state that it leaves.
     """
-    A, B, *_ = build(design(params), K_s, float(params.K2), delay, ideal, 0.0 if ideal else SENSOR)
-    K2 = float(params.K2)
-    block = np.zeros((3, 3))
-    block[:2] = [[0.0, 1.0, 0.0], [0.0, -K2 if ideal else 0.0, 1.0]]
-    pushed = np.zeros((len(A), 1))
-    pushed[6:8, 0] = scipy.linalg.expm(block * T_S)[:2, 2]
-    B = np.hstack([B[:, :2], pushed])
+    A, B, *_ = matrices(build, params, K_s, delay, ideal)
+    B = B[:, [0, 1, 3]]
     a = np.zeros((1, len(A)))
-    a[0, 5], a[0, 9] = 1.0, 0.0 if ideal else -K2
+    a[0, 5], a[0, 9] = 1.0, 0.0 if ideal else -float(params.K2)
     return A, B, a @ A, a @ B
 
 
@@ -66,7 +42,7 @@ def matrices(build: Callable[..., Any], params: Params, K_s: float, delay: int, 
 def test_responses_are_those_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
 ) -> None:
-    A, B, C, D = matrices(independent_loop, params, K_s, delay, ideal)
+    A, B, C, D = asking(independent_loop, params, K_s, delay, ideal)
     theta = np.array([2e-3, 0.02, 0.15, 1.0, 3.0])
     found = asked(design(params), world(params, K_s, delay, ideal), theta)
     for i, angle in enumerate(theta):
@@ -80,26 +56,17 @@ def test_responses_are_those_of_the_independent_loop(
 def test_noise_is_summed_like_the_variance_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
 ) -> None:
-    A, B, C, D = matrices(independent_loop, params, K_s, delay, ideal)
-    if params.architecture == "aob":
-        # Its unused reference generator sums up nothing for ever.
-        keep = np.arange(len(A)) != REFERENCE
-        A, B, C = A[keep][:, keep], B[keep], C[:, keep]
+    A, B, C, D = asking(independent_loop, params, K_s, delay, ideal)
+    A, B, C = settling(params, A, B, C)
     B, D = B[:, 1:2], D[:, 1:2]
     # One more state keeps the acceleration of the sample before.
     A, B = np.block([[A, np.zeros((len(A), 1))], [C, np.zeros((1, 1))]]), np.vstack([B, D])
     P = scipy.linalg.solve_discrete_lyapunov(A, B @ B.T)
-    silent = Spectrum(np.ones(2), np.zeros((3, 2), complex), np.zeros((3, 2), complex), np.array([0.5, 1.0, 2.0]))
     for rms, before in ((effort_rms, 0.0), (chatter_rms, -1.0)):
         row = np.append(C, [[before]], axis=1)
         expected = math.sqrt((row @ P @ row.T + D @ D.T).item())
-        found = rms(design(params), world(params, K_s, delay, ideal), silent)
-        np.testing.assert_allclose(found, expected * silent.noise, rtol=0.005)
-
-
-@jax.jit
-def step_by_step(gains: Any, *cells: Any) -> Any:
-    return over_cells(run, jax.vmap(lambda g: scalars(g, False))(gains), *cells)
+        found = rms(design(params), world(params, K_s, delay, ideal), SILENT)
+        np.testing.assert_allclose(found, expected * SILENT.noise, rtol=0.005)
 
 
 def test_frequency_gives_effort_and_chatter_of_the_linear_loop() -> None:
@@ -122,16 +89,4 @@ def test_frequency_gives_effort_and_chatter_of_the_linear_loop() -> None:
 
 @pytest.mark.parametrize("rms", [effort_rms, chatter_rms])
 def test_gradients_are_those_of_central_differences(rms: Callable[..., Any]) -> None:
-    spectrum = spectrum_of(Experiment.published("table-1-wam"))
-    contact = world(NERVOUS, 810.0, 1, False)
-    flat, restore = jax.flatten_util.ravel_pytree(design(NERVOUS))
-
-    @jax.jit
-    def loss(logs: Any) -> Any:
-        return jnp.sum(jnp.log(rms(restore(flat * jnp.exp(logs)), contact, spectrum)))
-
-    zero, step = np.zeros(len(flat)), 1e-5
-    differences = [(loss(step * row) - loss(-step * row)) / (2.0 * step) for row in np.eye(len(flat))]
-    gradient = jax.grad(loss)(zero)
-    # Both are good to 1e-9 of the largest component: step² of the third derivative.
-    np.testing.assert_allclose(gradient, differences, atol=1e-7 * float(jnp.max(jnp.abs(gradient))))
+    check_gradient(rms, NERVOUS)

@@ -102,6 +102,7 @@ def test_short_closed_loop_time_is_allowed(tmp_path: Path) -> None:
     assert float(Params.from_toml(params_file(tmp_path, "[params]\nT_cl = 0.0001")).T_cl) == 1e-4
 
 
+@pytest.mark.slow
 def test_frozen_controller_is_the_simulated_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_toml(tmp_path / "p.toml", {"params": TUNED})
     output = tmp_path / "c.npz"
@@ -148,6 +149,7 @@ def compilations() -> Iterator[list[str]]:
         jax.monitoring.unregister_event_duration_listener(listen)
 
 
+@pytest.mark.slow
 def test_simulate_prints_its_tables_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["simulate", experiment_file(tmp_path), "--compare", "-o", str(tmp_path / "out")]
     assert main(arguments) == 0

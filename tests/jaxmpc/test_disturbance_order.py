@@ -103,7 +103,7 @@ def test_order_one_costs_what_it_did() -> None:
     assert [operations(order) for order in (1, 2, 3)] == [33, 36, 39]
 
 
-@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("order", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_engine_runs_the_loop_that_scipy_runs(independent_loop: Any, order: int) -> None:
     params = params_of(order)
     gains, noise = design(params), 0.1 * np.random.default_rng(4).standard_normal((1000, 3))

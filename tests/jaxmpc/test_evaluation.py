@@ -121,7 +121,7 @@ def test_classical_mpc_runs_and_is_stable() -> None:
 
 def test_unknown_physics_is_refused() -> None:
     with pytest.raises(InputError, match="physics"):
-        evaluate(Params(), SHORT, physics="wamm")  # type: ignore[arg-type]
+        evaluate(Params(), SHORT, physics="wamm")  # type: ignore[arg-type]  # what is refused
 
 
 NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")

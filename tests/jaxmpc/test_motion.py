@@ -36,8 +36,8 @@ motions = st.builds(
 )
 
 
-def rhythmic(name: str = "steady", **keys: Any) -> Motion:
-    return Motion(kind="rhythm", rhythm=name, **keys)  # type: ignore[arg-type]
+def rhythmic(name: Any = "steady", **keys: Any) -> Motion:
+    return Motion(kind="rhythm", rhythm=name, **keys)
 
 
 def rr(motion: Motion, seconds: float = HOUR) -> tuple[np.ndarray, np.ndarray]:

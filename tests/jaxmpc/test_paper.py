@@ -92,6 +92,7 @@ def test_as_it_runs_the_text_design_is_a_little_worse_on_foam() -> None:
     assert at(Params.published("text"), 1900.0, ideal=False).M_s == pytest.approx(4.52, abs=0.01)
 
 
+@pytest.mark.slow
 def test_as_it_runs_strong_damping_costs_most() -> None:
     """A design with ideal M_s 2.00 has 2.8 to 3.0 as it runs at 1900 N/m."""
     strong = Params(K2=100.0, Khat_s=970.0, Q_p=10.0, T_cl=2e-4)

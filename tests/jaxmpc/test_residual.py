@@ -19,7 +19,6 @@ import scipy.linalg
 
 from jaxmpc import Params, design
 from jaxmpc.arm_settings import Arm, robot_of
-from jaxmpc.engine.cells import over_cells
 from jaxmpc.engine.rollout import AxisSignals, advance, record, run, scalars, start
 from jaxmpc.evaluation import evaluate
 from jaxmpc.experiment import Experiment
@@ -36,35 +35,23 @@ from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import hertz
 from jaxmpc.world.motion import displacement
 from jaxmpc.world.robot import accelerate
+from tests.jaxmpc.linear_loop import (
+    DAMPED,
+    SILENT,
+    T_S,
+    TEXT,
+    cases,
+    check_gradient,
+    matrices,
+    settling,
+    step_by_step,
+    world,
+)
 
-T_S = 1e-3
-SENSOR = hertz(500.0)
 FLOATS = SimpleNamespace(sqrt=math.sqrt, sin=math.sin, cos=math.cos)
-TEXT = Params()
-DAMPED = Params(K2=40.0, T_cl=2e-4, Khat_s=800.0, Q_p=1.5)
 FAST = Params(K2=100.0, T_cl=2e-4, Khat_s=970.0, Q_p=10.0)
 THREE = Params.stack([TEXT, DAMPED, FAST])
-CASES = [
-    (TEXT, 375.0, 1, True),
-    (TEXT, 810.0, 2, False),
-    (FAST, 1900.0, 1, False),
-    (DAMPED, 810.0, 2, True),
-    (Params(architecture="aob"), 810.0, 1, False),
-]
-
-
-def world(params: Params, K_s: Any, delay: int, ideal: bool) -> Any:
-    return contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=0.0 if ideal else SENSOR)
-
-
-def matrices(build: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool) -> tuple[Any, ...]:
-    """The independent loop with a fourth input: the acceleration that acts on the tip at once."""
-    A, B, C, D = build(design(params), K_s, float(params.K2), delay, ideal, 0.0 if ideal else SENSOR)
-    block = np.zeros((3, 3))
-    block[:2] = [[0.0, 1.0, 0.0], [0.0, -float(params.K2) if ideal else 0.0, 1.0]]
-    pushed = np.zeros((len(A), 1))
-    pushed[6:8, 0] = scipy.linalg.expm(block * T_S)[:2, 2]
-    return A, np.hstack([B, pushed]), C, np.append(D, [[0.0]], axis=1)
+CASES = cases(FAST)
 
 
 @pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES)
@@ -87,15 +74,11 @@ def test_noise_is_summed_like_the_variance_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
 ) -> None:
     A, B, C, D = matrices(independent_loop, params, K_s, delay, ideal)
-    if params.architecture == "aob":
-        # Its unused reference generator sums up nothing for ever.
-        keep = np.arange(len(A)) != 4
-        A, B, C = A[keep][:, keep], B[keep], C[:, keep]
+    A, B, C = settling(params, A, B, C)
     P = scipy.linalg.solve_discrete_lyapunov(A, B[:, 1:2] @ B[:, 1:2].T)
     expected = math.sqrt(float((C @ P @ C.T)[0, 0]) + D[0, 1] ** 2)
-    silent = Spectrum(np.ones(2), np.zeros((3, 2), complex), np.zeros((3, 2), complex), np.array([0.5, 1.0, 2.0]))
-    found = residual_rms(design(params), world(params, K_s, delay, ideal), silent)
-    np.testing.assert_allclose(found, expected * silent.noise, rtol=0.005)
+    found = residual_rms(design(params), world(params, K_s, delay, ideal), SILENT)
+    np.testing.assert_allclose(found, expected * SILENT.noise, rtol=0.005)
 
 
 @pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES)
@@ -144,11 +127,6 @@ def worlds(K_s: Any, K2: Any, ideal: bool) -> Any:
 @jax.jit
 def in_frequency(gains: Any, contacts: Any, spectrum: Spectrum) -> Any:
     return jax.vmap(jax.vmap(residual_rms, (None, 0, None)), (0, 0, None))(gains, contacts, spectrum)
-
-
-@jax.jit
-def step_by_step(gains: Any, *cells: Any) -> Any:
-    return over_cells(run, jax.vmap(lambda g: scalars(g, False))(gains), *cells)
 
 
 def cells(experiment: Experiment, ideal: bool) -> tuple[Any, Any]:
@@ -206,19 +184,7 @@ def test_a_spectrum_has_the_power_of_the_record() -> None:
 
 
 def test_gradients_are_those_of_central_differences() -> None:
-    spectrum = spectrum_of(Experiment.published("table-1-wam"))
-    contact = world(DAMPED, 810.0, 1, False)
-    flat, restore = jax.flatten_util.ravel_pytree(design(DAMPED))
-
-    @jax.jit
-    def loss(logs: Any) -> Any:
-        return jnp.sum(jnp.log(residual_rms(restore(flat * jnp.exp(logs)), contact, spectrum)))
-
-    zero, step = np.zeros(len(flat)), 1e-5
-    differences = [(loss(step * row) - loss(-step * row)) / (2.0 * step) for row in np.eye(len(flat))]
-    gradient = jax.grad(loss)(zero)
-    # Both are good to 1e-9 of the largest component: step² of the third derivative.
-    np.testing.assert_allclose(gradient, differences, atol=1e-7 * float(jnp.max(jnp.abs(gradient))))
+    check_gradient(residual_rms, DAMPED)
 
 
 @jax.jit

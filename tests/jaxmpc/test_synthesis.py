@@ -221,7 +221,10 @@ def test_mask_is_exact_at_width_one_and_feels_its_horizon_when_wider() -> None:
 NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 
 
-@pytest.mark.parametrize(("architecture", "order"), [("mpc-aob", 1), ("aob", 1), ("mpc", 1), ("mpc-aob", 2)])
+@pytest.mark.parametrize(
+    ("architecture", "order"),
+    [pytest.param("mpc-aob", 1, marks=pytest.mark.slow), ("aob", 1), ("mpc", 1), ("mpc-aob", 2)],
+)
 @pytest.mark.parametrize("mode", [pytest.param("forward", marks=pytest.mark.slow), "reverse"])
 def test_gradient_of_the_design_is_the_central_difference(architecture: str, order: int, mode: str) -> None:
     """Relative to the largest component over log-parameters: scale-free, and R and δ stay fixed."""

@@ -70,12 +70,13 @@ def test_up_the_whole_ladder_and_against_the_worst(on_the_arm: Callable[..., Tun
     spec = on_the_arm(tune={"rounds": 1, "searched": 6, "orders": [1, 2]})
     with_float64 = in_float64(lambda: judge(climb(spec)))
     result = with_float64()
-    assert [step.level for step in result.steps][:3] == ["frequency", "linear", "arm"]
+    assert [step.name for step in result.steps][:4] == ["frequency", "linear", "mapping", "arm"]
+    assert [step.level for step in result.steps][:4] == ["frequency", "linear", "arm", "arm"]
     assert set(result.orders) == {1, 2}
     assert result.feasible, result.unmet()
     assert result.heldout.rms.shape == (2, 1, 3, 3)
-    if len(result.steps) > 3:
-        added = result.steps[3].added
+    if len(result.steps) > 4:
+        added = result.steps[4].added
         assert added is not None
         assert added.value > added.known
 

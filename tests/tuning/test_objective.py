@@ -103,7 +103,7 @@ HARD = {"chatter": 0.5, "effort_x": 1.0, "peak_to_peak": 0.5}
 
 def test_a_level_without_time_sees_all_but_peaks_and_has_stand_ins_for_them() -> None:
     def level(spectra: Any, **soft: float) -> Any:
-        return SimpleNamespace(spectra=spectra, soft=soft)
+        return SimpleNamespace(spectra=spectra, correction=None, soft=soft)
 
     assert seen(HARD, level(None)) == tuple(HARD)
     assert seen(HARD, level("some")) == ("chatter", "effort_x")

@@ -1,5 +1,7 @@
 """Scenarios: what a seed draws, and that a scene of many is each of them."""
 
+from typing import Any, get_args
+
 import msgspec
 import numpy as np
 import pytest
@@ -8,10 +10,10 @@ from jaxmpc import Experiment, Params, evaluate
 from jaxmpc.errors import InputError
 from jaxmpc.world.reference import Reference
 from tuning.heldout import compare
-from tuning.scenarios import RHYTHMS, Scenarios, describe, scenario, scenarios
+from tuning.scenarios import Rhythm, Scenarios, describe, scenario, scenarios
 
 ARM = msgspec.structs.replace(Experiment.published("table-1-wam"), duration=0.5, settle=0.1, reference=Reference())
-WIDE = Scenarios(rhythms=RHYTHMS, friction=0.3, mass=0.1, stiffness=0.2, delays=(1, 2))  # type: ignore[arg-type]
+WIDE = Scenarios(rhythms=get_args(Rhythm), friction=0.3, mass=0.1, stiffness=0.2, delays=(1, 2))
 
 
 def test_a_seed_draws_the_same_whatever_else_is_drawn() -> None:
@@ -45,8 +47,9 @@ def test_nothing_to_draw_is_the_experiment_with_other_phases() -> None:
 
 
 def test_events_fall_into_a_short_run() -> None:
-    for rhythm in ("rate-step", "hold", "cough"):
-        settings = Scenarios(rhythms=(rhythm,))  # type: ignore[arg-type]
+    events: tuple[Rhythm, ...] = ("rate-step", "hold", "cough")
+    for rhythm in events:
+        settings = Scenarios(rhythms=(rhythm,))
         motion = scenario(msgspec.structs.replace(ARM, duration=6.0, settle=2.0), settings, 0).motion
         assert 2.0 < (motion.rate_step_at if rhythm == "rate-step" else motion.ventilation_at) < 4.0
 
@@ -72,7 +75,7 @@ def test_side_by_side_is_each_by_itself() -> None:
         ({"cable_hz": (60.0, 15.0)}, "scenarios.cable_hz"),
     ],
 )
-def test_what_the_linear_world_cannot_show_is_refused(settings: dict[str, object], key: str) -> None:
+def test_what_the_linear_world_cannot_show_is_refused(settings: dict[str, Any], key: str) -> None:
     with pytest.raises(InputError) as caught:
-        Scenarios(**settings).check(Experiment.published("table-1"))  # type: ignore[arg-type]
+        Scenarios(**settings).check(Experiment.published("table-1"))
     assert caught.value.key == key

@@ -86,7 +86,7 @@ def analytic() -> Analytic:
     data: Any = Data(
         Scene(jnp.asarray(TISSUES)), margins, {"rms": jnp.asarray(0.1)}, {}, None, jnp.asarray(TISSUES), reference
     )
-    return Analytic(data, None)  # type: ignore[arg-type]
+    return Analytic(data, None)  # type: ignore[arg-type]  # its look runs no program
 
 
 @pytest.mark.parametrize("starts", [2, 8])
@@ -162,10 +162,11 @@ def test_a_real_job_against_central_differences_without_another_program(small: J
     result = judge(climb(TuneSpec.from_dict(small(experiment=QUIET, tune=tune, goals=goals))))
     step, spec, z = result.steps[-1], result.spec, vector_of(result)
     np.testing.assert_array_equal(spec.space.exact(z).Khat_s, result.params.Khat_s)
-    programs = _dealt(step.problem.kind)._cache_size()  # type: ignore[attr-defined]
+    dealt: Any = _dealt(step.problem.kind)
+    programs = dealt._cache_size()
     found = sensitivities(result)
     held = limits(result)
-    assert _dealt(step.problem.kind)._cache_size() == programs  # type: ignore[attr-defined]
+    assert dealt._cache_size() == programs
     for tissue in range(3):
         alone = on_tissue(step.problem, tissue)
         for i, name in enumerate(("lam", "Q_p", "K2", "Khat_s")):

@@ -38,7 +38,10 @@ def run():
         clock = Clock(twin)
         frames = []
         bus = Bus(LockstepBus(clock), clock.now)
-        log = lambda frame, stamp, sent: frames.append((stamp, any(unpack_torques(frame.data))))  # noqa: E731
+
+        def log(frame, stamp, sent):
+            frames.append((stamp, any(unpack_torques(frame.data))))
+
         options = Options(ramps("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False, log=log)
         session = Session(arm_artifact(), bus, clock, options, lambda sentence: None)
         watchdog, cycles, when = Watchdog(), [], []

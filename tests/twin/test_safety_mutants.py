@@ -20,10 +20,10 @@ def load(path):
 
 mutation = load(HERE / "mutation.py")
 TESTS = {
-    "checker": "test_checker",
-    "clamp": "test_clamp",
-    "plausible": "test_plausible",
-    "kinematics": "test_safety_kinematics",
+    "checker": ("test_checker_torques", "test_checker_state"),
+    "clamp": ("test_clamp",),
+    "plausible": ("test_plausible",),
+    "kinematics": ("test_safety_kinematics",),
 }
 PLACE = "only holds a place"
 ROUNDING = "both sides of that bound are refused or allowed alike, up to 1e-8 of it"
@@ -79,8 +79,8 @@ EQUIVALENT = {
 
 def checks_of(name):
     """The tests that take that module, the quickest to fail first by their order."""
-    tests = load(HERE.parent / "deploy" / f"{TESTS[name]}.py")
-    functions = [value for key, value in vars(tests).items() if key.startswith("test_")]
+    tests = [vars(load(HERE.parent / "deploy" / f"{file}.py")) for file in TESTS[name]]
+    functions = [value for file in tests for key, value in file.items() if key.startswith("test_")]
     return [function for function in functions if list(inspect.signature(function).parameters) == [name]]
 
 

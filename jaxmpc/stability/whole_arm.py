@@ -1,0 +1,143 @@
+"""The closed loop of the whole arm as a matrix, cable mode included, by differentiating one sample of the simulation.
+
+Margins see one axis with a rigid arm. Four joints that hang together, masses that are believed wrong and a spring
+between motor and link are in no such loop, but in the derivative of one sample at rest. Left out is what has no slope:
+quantisers are off, and every joint slides, so that Coulomb friction is a constant and viscous friction stays.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxmpc.arm_settings import kind_of, robot_of
+from jaxmpc.engine import arm_rollout as rollout
+from jaxmpc.engine.once import JitOnce
+from jaxmpc.errors import InputError
+from jaxmpc.experiment import Experiment
+from jaxmpc.law.cascade import Gains
+from jaxmpc.law.chain import Chain
+from jaxmpc.params import Params
+from jaxmpc.precision import in_float64
+from jaxmpc.synthesis import design_one
+from jaxmpc.world import arm, friction
+from jaxmpc.world import robot as world
+from jaxmpc.world.robot import Kind, Robot
+
+ROUNDING = 1e-9
+"""How far above 1 a spectral radius must lie to count: far more than eigenvalues near 1 are rounded by [-]."""
+_NONE = (0.0, 0.0, 0.0, 0.0)
+
+
+def whole_arm_matrix(chain: Chain, kind: Kind, robot: Robot, gains: Gains, K2: Any) -> Float[Array, "n n"]:
+    """Transition matrix of controller and arm together; traceable, and so for batches of robots and controllers.
+
+    Linearised at rest in the posture, touching without force; a tissue is taken to be attached, and has the stiffness
+    that its law has there. The state is that of the controller, then that of the arm, raveled.
+
+    Args:
+        chain: The arm.
+        kind: Structure of its world.
+        robot: Its constants, the tissue's stiffness among them.
+        gains: One controller.
+        K2: Its damping [1/s].
+    """
+    gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
+    program = rollout.Program(chain, kind._replace(attached=True), world.accelerate, float("inf"))
+    cell = rollout.Cell(gains, jnp.asarray(K2, float), _smooth(robot))
+    begin, quiet = rollout.start(program, cell), _quiet(kind.substeps)
+    flat, restore = jax.flatten_util.ravel_pytree((begin.controller, begin.robot))
+
+    def advance(vector: Array) -> Array:
+        controller, state = restore(vector)
+        # An active state without gain (MPC alone) stays at its start, zero: it is no mode of the loop.
+        axes = (a._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, a.p_hat)) for a in controller.axes)
+        carry = begin._replace(controller=controller._replace(axes=tuple(axes)), robot=state)
+        following, _ = rollout.advance(program, cell, carry, quiet)
+        # Bristles without force are no mode either.
+        settled = following.robot._replace(bristles=friction.init(0.0 * following.robot.q[0]))
+        return jax.flatten_util.ravel_pytree((following.controller, settled))[0]
+
+    matrix: Array = jax.jacfwd(advance)(flat)
+    return matrix
+
+
+def radii(matrices: Float[np.ndarray, "*batch n n"]) -> Float[np.ndarray, "*batch"]:
+    """Spectral radius of each matrix [-]; ∞ where it is not finite. By LAPACK, so never inside a compiled program."""
+    finite = np.isfinite(matrices).all(axis=(-2, -1))
+    eigenvalues = np.linalg.eigvals(np.where(finite[..., None, None], matrices, 0.0))
+    found: np.ndarray = np.where(finite, np.abs(eigenvalues).max(axis=-1), np.inf)
+    return found
+
+
+def robots_of(experiments: Sequence[Experiment]) -> Robot:
+    """Robots and tissues of experiments as one batch, every leaf (experiments, …).
+
+    Raises:
+        InputError: An experiment has several stiffnesses.
+    """
+    robots = []
+    for experiment in experiments:
+        if len(experiment.stiffness) != 1:
+            remedy = "Take one experiment per stiffness."
+            raise InputError("stiffness", list(experiment.stiffness), "one stiffness [N/m]", remedy)
+        robot = robot_of(experiment)
+        robots.append(robot._replace(tissue=robot.tissue._replace(stiffness=experiment.stiffness[0])))
+    batch: Robot = jax.tree.map(lambda *values: np.array(values, np.float64), *robots)
+    return batch
+
+
+@in_float64
+def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, " experiments"]:
+    """Whether the linear loop of the whole arm is unstable, per experiment.
+
+    Milliseconds each, where a run takes seconds. It knows no friction that holds a joint, no event and no end: a slow
+    divergence that a run of some seconds does not show counts.
+
+    Args:
+        params: One controller.
+        experiments: On the arm, each with one stiffness.
+
+    Raises:
+        InputError: The controller is a batch, or an experiment has several stiffnesses.
+    """
+    if params.batch_shape:
+        raise InputError("params", f"a batch {params.batch_shape}", "one controller", "Ask for one after another.")
+    programs = [(kind_of(e.arm, e.tissue, bool(e.sensor.kalman)), e.sampling_time) for e in experiments]
+    found = np.zeros(len(experiments), bool)
+    for kind, T_s in dict.fromkeys(programs):
+        mine = [i for i, program in enumerate(programs) if program == (kind, T_s)]
+        matrices = _over_robots(params, robots_of([experiments[i] for i in mine]), T_s, kind=kind)
+        found[mine] = radii(np.asarray(matrices)) > 1.0 + ROUNDING
+    return found
+
+
+def _matrices(params: Params, robots: Robot, T_s: Any, kind: Kind) -> Float[Array, "robots n n"]:
+    gains, _ = design_one(params, T_s)
+    return jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, params.K2))(robots)
+
+
+_over_robots = JitOnce(_matrices, static_argnames=("kind",))
+
+
+def _smooth(robot: Robot) -> Robot:
+    """Without what has no slope: quantisers, and Coulomb friction, that of the arm and that which is cancelled."""
+    believed = robot.nominal.friction._replace(coulomb=_NONE)
+    return robot._replace(
+        drive=robot.drive._replace(angle_lsb=0.0, torque_lsb=0.0),
+        sensor=robot.sensor._replace(lsb=(0.0, 0.0, 0.0)),
+        friction=robot.friction._replace(coulomb=_NONE),
+        nominal=robot.nominal._replace(friction=believed),
+    )
+
+
+def _quiet(substeps: int) -> rollout.ArmSignals:
+    """A sample at which nothing happens."""
+    heart, axes, off = jnp.zeros((2, 3)), jnp.zeros(3), jnp.zeros(())
+    return rollout.ArmSignals(
+        heart, jnp.zeros((substeps, 2, 3)), axes, jnp.zeros((3, 1)), axes, jnp.ones(()), watch=off, time=off
+    )

@@ -1,0 +1,172 @@
+"""Space mapping: exact where it was measured, its search against another solver, and a kill in between."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pytest
+from scipy.optimize import NonlinearConstraint, minimize
+
+from jaxmpc.experiment import Experiment
+from jaxmpc.metrics import Metrics
+from jaxmpc.precision import in_float64
+from tuning import TuneSpec
+from tuning.corrected import REACH, minimised, values_and_slopes
+from tuning.mapping import Measured, correction, parents, refine, spectra_of
+from tuning.objective import HEADROOM, Data, Values, look
+from tuning.problem import Problem, problem_of, training
+from tuning.state import State
+
+MOVED = (0, 1, 2, 3, 4, 5)
+"""All but the horizons, which come last."""
+
+
+class Case(NamedTuple):
+    """The arm's job on its two quick levels: linear runs, which measure, and spectra, which propose."""
+
+    spec: TuneSpec
+    met: list[Experiment]
+    measuring: Problem
+    spectra: Problem
+    z: np.ndarray
+    """Points about the given parameters, damped enough to be stable everywhere."""
+    measured: Values
+    factors: Metrics
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    spec = TuneSpec.from_dict(
+        {
+            "experiment": {"published": "table-1-wam"},
+            "tune": {"mapping": 4, "duration": 4.0, "settle": 2.5, "train_seeds": [0], "margin_points": 0},
+            "goals": {"M_s": 3.0, "gain_margin_db": 4.0, "soft": {"rms_ratio": 0.65, "peak_to_peak_ratio": 0.7}},
+        }
+    )
+    z = np.tile(spec.space.encode(spec.params), (4, 1))
+    z[:, spec.space.names.index("K2")] += 1.0
+    z += 0.1 * np.random.default_rng(1).standard_normal(z.shape)
+
+    @in_float64
+    def made() -> Case:
+        met = training(spec, spec.tune.train_seeds)
+        measuring = problem_of(spec, "linear", met)
+        spectra = spectra_of(spec, measuring, met)
+        measured = measuring.evaluate(z)
+        return Case(spec, met, measuring, spectra, z, measured, correction(measured.cells, spectra.evaluate(z).cells))
+
+    return made()
+
+
+@in_float64
+def test_corrected_spectra_say_at_a_point_what_was_measured_there(case: Case) -> None:
+    """Loss and every goal to rounding; and without the correction they do not."""
+    assert np.abs(case.factors.peak_to_peak - 1.0).min() > 1.0
+    for i in range(len(case.z)):
+        one: Any = jax.tree.map(lambda field, i=i: np.repeat(field[i : i + 1], 4, axis=0), case.factors)
+        said = jax.jit(look, static_argnames="kind")(case.z, limited(case, 4, one), 1.0, kind=case.spectra.kind)
+        loss, (_, _, _, _, hard, soft, _) = said
+        for found, expected in ((loss, case.measured.loss), (hard, case.measured.hard), (soft, case.measured.soft)):
+            np.testing.assert_allclose(found[i], expected[i], rtol=1e-12)
+
+
+def limited(case: Case, rows: int, factors: Metrics) -> Data:
+    """The spectra's data with a correction, and limits for so many points."""
+    limits = {name: np.full(rows, float(limit)) for name, limit in case.spectra.data.margins.items()}
+    return case.spectra.data._replace(margins=limits, hard={}, correction=factors)
+
+
+def first_of(factors: Metrics) -> Metrics:
+    one: Metrics = jax.tree.map(lambda field: field[:1], factors)
+    return one
+
+
+@pytest.mark.slow
+@in_float64
+def test_an_evaluation_is_a_look_without_its_gradient(case: Case) -> None:
+    looked = case.measuring.look(case.z, 1.0)
+    assert np.isnan(case.measured.gradient).all()
+    for name in ("loss", "score", "M_s", "hard", "soft"):
+        np.testing.assert_allclose(getattr(case.measured, name), getattr(looked, name), rtol=1e-12, err_msg=name)
+
+
+@in_float64
+def test_slopes_of_risk_and_of_every_constraint_are_central_differences(case: Case) -> None:
+    """Step 1e-5: rounding and curvature leave some 1e-8 of the largest slope."""
+    data, program, h = limited(case, 1, first_of(case.factors)), values_and_slopes(case.spectra.kind, MOVED), 1e-5
+    z = case.z[0]
+    x = z[list(MOVED)]
+    slopes = np.asarray(program(x, z, data)[1])
+    sides = [[np.asarray(program(x + sign * h * e, z, data)[0]) for e in np.eye(len(x))] for sign in (1, -1)]
+    expected = (np.array(sides[0]) - np.array(sides[1])).T / (2.0 * h)
+    assert slopes.shape == (1 + 2 * len(case.spec.judged_at), len(x))
+    np.testing.assert_allclose(slopes, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
+
+
+@in_float64
+def test_the_search_ends_where_another_solver_does(case: Case) -> None:
+    """An interior-point method from the same place: log risks to 2e-3, less than a correction is good for."""
+    factors, z, moved = first_of(case.factors), case.z[0], list(MOVED)
+    data, program = limited(case, 1, factors), values_and_slopes(case.spectra.kind, MOVED)
+    found = minimised(case.spec, case.spectra, z, factors)
+    np.testing.assert_array_equal(np.delete(found, moved), np.delete(z, moved))
+    risk, *missed = np.asarray(program(found[moved], z, data)[0])
+    assert max(missed) <= 0.5 * HEADROOM
+    assert risk < np.asarray(program(z[moved], z, data)[0])[0] - 0.05
+
+    def part(x: np.ndarray, which: int, rows: slice) -> np.ndarray:
+        return np.asarray(program(x, z, data)[which])[rows]
+
+    held = NonlinearConstraint(
+        lambda x: part(x, 0, slice(1, None)), -np.inf, 0.0, jac=lambda x: part(x, 1, slice(1, None))
+    )
+    other = minimize(
+        lambda x: part(x, 0, slice(0, 1))[0],
+        z[moved],
+        jac=lambda x: part(x, 1, slice(0, 1))[0],
+        method="trust-constr",
+        constraints=held,
+        bounds=[(value - REACH, value + REACH) for value in z[moved]],
+        options={"maxiter": 300, "gtol": 1e-6},
+    )
+    assert risk == pytest.approx(other.fun, abs=2e-3)
+
+
+def test_searches_follow_the_best_and_none_that_lost_the_heart() -> None:
+    z = np.arange(12.0).reshape(6, 2)
+    none: Any = None
+    measured = Measured(z, np.array([3.0, np.nan, 1.0, 2.0, np.nan, np.nan]), none)
+    assert [k for k, _ in parents(measured, 4, 1, 0)] == [2, 3, 0, 2]
+    assert [k for k, _ in parents(measured, 4, 2, 0)] == [2, 3, 2, 2]
+    first, again, other = (parents(measured, 4, 2, seed) for seed in (0, 0, 1))
+    np.testing.assert_array_equal([begin for _, begin in first], [begin for _, begin in again])
+    assert not np.allclose([begin for _, begin in first], [begin for _, begin in other])
+    assert parents(measured._replace(loss=np.full(6, np.nan)), 4, 1, 0) == []
+
+
+@in_float64
+def test_it_improves_and_a_killed_one_continues_to_the_same_bits(
+    case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = case.spec, case.measuring, case.met, case.z
+    whole = refine(*job)
+    assert (np.diff(whole.incumbent[: whole.look]) <= 0.0).all()
+    assert whole.feasible
+    assert np.log(whole.best.min()) < case.measured.loss.min() - 0.1
+    record = State.record
+
+    def killed(self: State, *args: Any, **kwargs: Any) -> None:
+        if self.look == 2:
+            raise KeyboardInterrupt
+        record(self, *args, **kwargs)
+
+    monkeypatch.setattr(State, "record", killed)
+    with pytest.raises(KeyboardInterrupt):
+        refine(*job, tmp_path)
+    monkeypatch.setattr(State, "record", record)
+    resumed = refine(*job, tmp_path)
+    for field in fields(State):
+        for a, b in zip(*(jax.tree.leaves(getattr(state, field.name)) for state in (whole, resumed)), strict=True):
+            np.testing.assert_array_equal(a, b, err_msg=field.name)

@@ -1,0 +1,170 @@
+"""Space mapping: the spectra, corrected by what the arm measured, propose controllers; the arm measures them again.
+
+    metric(z) ≈ metric_spectra(z) · metric_arm(z₀) / metric_spectra(z₀)      per tissue, scenario and axis
+
+exact at z₀ and good around it, at a thousandth of a run's price. Peaks, which spectra do not see, follow the RMS. A
+round measures a handful of points side by side, takes the best as z₀, and on each corrected model minimises the risk
+under all hard goals (`tuning.corrected`). Only what was measured counts: a correction that misleads costs a round.
+
+Source: J. W. Bandler et al., Space Mapping: The State of the Art, IEEE Trans. Microwave Theory and Techniques 52(1),
+2004; there "output space mapping".
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxmpc.experiment import Experiment
+from jaxmpc.metrics import Metrics
+from jaxmpc.precision import in_float64
+from jaxmpc.progress import progress
+from tuning.corrected import minimised
+from tuning.objective import Values
+from tuning.optimise import WORTH, note
+from tuning.problem import Problem, problem_of
+from tuning.spec import TuneSpec
+from tuning.state import State, load, save
+
+PROPOSED = 2
+"""Points measured in a round, for each start of the last level."""
+PATIENCE = 8
+"""Rounds without gain until it stops."""
+SPREAD = 0.3
+"""Standard deviation, per unconstrained number, of where a search on the corrected spectra begins about its z₀."""
+STREAM = 9
+"""Of its random numbers, apart from those of starts and scenarios."""
+
+
+class Measured(NamedTuple):
+    """All points measured so far; rows not yet reached are NaN."""
+
+    z: Float[np.ndarray, "points size"]
+    loss: Float[np.ndarray, " points"]
+    """On the last level [-]; NaN where the heart was not held."""
+    correction: Metrics
+    """Of the spectra, (points, stiffness, scenarios, 3)."""
+
+
+def refine(
+    spec: TuneSpec,
+    problem: Problem,
+    met: Sequence[Experiment],
+    z: Float[np.ndarray, "points size"],
+    folder: Path | None = None,
+    name: str = "state-mapping.npz",
+    show: bool = False,
+) -> State:
+    """Look for better points around good ones, or continue from the state in its folder.
+
+    Args:
+        spec: The job.
+        problem: Its problem on the last level.
+        met: The scenarios of that problem.
+        z: The points to begin with.
+        folder: Where the state is kept; None keeps none.
+        name: Under which name.
+        show: Whether to show progress.
+
+    Returns:
+        One row per round; its slots hold what was measured side by side, no descent of one start.
+    """
+    spectra, rounds = spectra_of(spec, problem, met), spec.tune.mapping
+    goals = len(spec.margin_goals) + len(problem.hard_goals), len(problem.soft_goals)
+    state = State.new(z, _nothing(rounds * len(z), z.shape[1], problem), rounds, goals)
+    if folder is not None:
+        state = load(folder, spec.digest, state, name)
+    with progress("tune (mapping)", rounds, "rounds", show) as tick, ThreadPoolExecutor(_cores()) as pool:
+        while state.look < rounds and not state.stalled(PATIENCE, 0):
+            values = problem.evaluate(state.z)
+            state.record(values, exact=True, worth=WORTH)
+            state.memory = _entered(state.memory, state.look, state.z, values, spectra)
+            state.look += 1
+            beginnings = parents(state.memory, len(z), state.look, spec.tune.seed)
+            if not beginnings:
+                break
+            searched = pool.map(partial(_proposal, spec, spectra, state.memory), beginnings)
+            state.z = np.stack(list(searched))
+            tick(state.look, note(spec, state))
+            if folder is not None:
+                save(folder, spec.digest, state, name)
+    return state
+
+
+def spectra_of(spec: TuneSpec, problem: Problem, met: Sequence[Experiment]) -> Problem:
+    """The frequency level with the goals, margins and scenarios of another level's problem."""
+    own = problem_of(spec, "frequency", met)
+    return own._replace(data=own.data._replace(judged_at=problem.data.judged_at, reference=problem.data.reference))
+
+
+def correction(fine: Metrics, coarse: Metrics) -> Metrics:
+    """Factors that turn what the spectra say of a point into what was measured there."""
+    seen = coarse._replace(peak_to_peak=coarse.rms, peak_force=coarse.rms, peak_error=coarse.rms)
+
+    def factor(measured: np.ndarray, said: np.ndarray) -> np.ndarray:
+        usable = (said > 0.0) & np.isfinite(said)
+        return np.where(usable, measured / np.where(usable, said, 1.0), 1.0)
+
+    factors: Metrics = jax.tree.map(factor, fine, seen)
+    return factors
+
+
+def parents(measured: Measured, count: int, after: int, seed: int) -> list[tuple[int, Float[np.ndarray, " size"]]]:
+    """Which points the next searches take as z₀, and where they begin; none where no point held the heart.
+
+    After the first round every point is followed as it stands. Later half of the searches follow the best points, the
+    other half the very best, all from somewhere near.
+
+    Args:
+        measured: All points so far.
+        count: How many searches.
+        after: Rounds done.
+        seed: Draws where they begin.
+    """
+    order = np.argsort(measured.loss, kind="stable")[: np.isfinite(measured.loss).sum()]
+    if not len(order):
+        return []
+    if after == 1:
+        return [(int(k), measured.z[k]) for k in np.resize(order, count)]
+    chosen = np.concatenate([np.resize(order[: count // 2], count // 2), np.full(count - count // 2, order[0])])
+    random = np.random.Generator(np.random.Philox([seed, STREAM, after]))
+    near = SPREAD * random.normal(size=(count, measured.z.shape[1]))
+    return [(int(k), measured.z[k] + away) for k, away in zip(chosen, near, strict=True)]
+
+
+@in_float64  # which is a thread's own
+def _proposal(
+    spec: TuneSpec, spectra: Problem, measured: Measured, beginning: tuple[int, Float[np.ndarray, " size"]]
+) -> Float[np.ndarray, " size"]:
+    parent, begin = beginning
+    factors: Metrics = jax.tree.map(lambda field: field[parent : parent + 1], measured.correction)
+    return minimised(spec, spectra, begin, factors)
+
+
+def _nothing(points: int, size: int, problem: Problem) -> Measured:
+    cells = points, *problem.data.reference.rms.shape
+    empty: Metrics = jax.tree.map(lambda field: np.full(cells, np.nan), problem.data.reference)
+    return Measured(np.full((points, size), np.nan), np.full(points, np.nan), empty)
+
+
+def _entered(measured: Measured, look: int, z: np.ndarray, values: Values, spectra: Problem) -> Measured:
+    """With one round more."""
+    held = np.all(np.isfinite(values.cells.rms), axis=(1, 2, 3))
+    factors = correction(values.cells, spectra.evaluate(z).cells)
+    new = Measured(z, np.where(held, values.loss, np.nan), factors)
+
+    def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
+        first = look * len(z)
+        return np.concatenate([rows[:first], row, rows[first + len(z) :]])
+
+    entered: Measured = jax.tree.map(put, measured, new)
+    return entered
+
+
+def _cores() -> int:
+    return len(jax.local_devices())
