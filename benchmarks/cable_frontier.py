@@ -39,7 +39,7 @@ from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import Contact, hertz
 from jaxmpc.world.robot import Robot
 from tuning import TuneSpec
-from tuning.objective import Data, Designed, Kind
+from tuning.designed import Data, Designed, Kind
 from tuning.problem import problem_of, training
 from tuning.state import FEASIBLE
 from tuning.transforms import Space

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
-from tuning.objective import HEADROOM, Data, Kind, constrained
+from tuning.designed import Data, Kind
+from tuning.objective import HEADROOM, constrained
 from tuning.problem import Problem
 from tuning.spec import TuneSpec
 from tuning.transforms import HORIZONS

@@ -11,6 +11,7 @@ from jaxmpc.params import BOUNDS
 from tuning.ladder import Step
 from tuning.reached import kept
 from tuning.result import TuneResult
+from tuning.state import FEASIBLE, State
 from tuning.transforms import HORIZONS
 
 HINT = "hint: "
@@ -22,6 +23,8 @@ BOTH = ((0, BASELINE, "before"), (1, TUNED, "after"))
 def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> None:
     """Score, worst residual, hard goals and parameters over the looks, every start a line, the winner's in colour.
 
+    Without a descent every point is a dot, the best of each look in colour.
+
     Args:
         result: What `tune` returned.
         path: Where the figure goes.
@@ -29,7 +32,8 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
     """
     step = step or result.steps[-1]
     state, space = step.state, result.spec.space
-    looks, chosen = state.look, state.leader
+    looks = state.look
+    chosen = np.full(looks, state.leader) if step.descent else _best(state)
     values = space.values(state.path[:looks])
     ends = np.cumsum([axis.size for axis in space.axes])
     goals = [*result.spec.margin_goals, *step.problem.hard_goals]
@@ -40,20 +44,21 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
         panels = iter(np.ravel(axes))
         for title, lines in (("score", state.score), ("worst residual RMS [mN]", 1e3 * state.worst)):
             panel = next(panels)
-            _lines(panel, lines[:looks], chosen, title)
+            _lines(panel, lines[:looks], chosen, title, step.descent)
             logarithmic(panel)
         for i, name in enumerate(goals):
             panel = next(panels)
             lines = np.where(np.isfinite(state.hard[:looks, :, i]), state.hard[:looks, :, i], np.nan)
-            _lines(panel, lines, chosen, f"{name} / limit")
+            _lines(panel, lines, chosen, f"{name} / limit", step.descent)
             panel.axhline(1.0, color=ACCENT, lw=1.0, ls="--", label="limit")
             panel.set_ylim(0.0, 3.0)
             panel.legend()
         for axis, end in zip(space.axes, ends, strict=True):
             panel = next(panels)
             entries = values[:, :, end - axis.size : end]
-            title = f"{axis.name}, geometric mean" if axis.length else axis.name
-            _lines(panel, np.exp(np.mean(np.log(entries), axis=2)), chosen, f"{title} [{BOUNDS[axis.name][2]}]")
+            name = f"{axis.name}, geometric mean" if axis.length else axis.name
+            title = f"{name} [{BOUNDS[axis.name][2]}]"
+            _lines(panel, np.exp(np.mean(np.log(entries), axis=2)), chosen, title, step.descent)
             if axis.name not in HORIZONS:
                 logarithmic(panel)
         for panel in panels:
@@ -120,8 +125,17 @@ def _over_scenarios(function: Any, cells: np.ndarray) -> np.ndarray:
     return np.array([function(column) if len(column) else 0.0 for column in found])
 
 
-def _lines(panel: Any, columns: np.ndarray, chosen: int, title: str) -> None:
-    panel.plot(columns, color=BASELINE, lw=0.6, alpha=0.6)
-    panel.plot(columns[:, chosen], color=TUNED, lw=1.6)
+def _best(state: State) -> np.ndarray:
+    """The start with the best score of each look, among those that hold the hard goals if there are any."""
+    score = np.nan_to_num(state.score[: state.look], nan=np.inf)
+    held = state.hard[: state.look].max(axis=2, initial=0.0) <= FEASIBLE
+    best: np.ndarray = np.lexsort((score, ~held), axis=1)[:, 0]
+    return best
+
+
+def _lines(panel: Any, columns: np.ndarray, chosen: np.ndarray, title: str, joined: bool) -> None:
+    marks = {"ls": "-" if joined else "", "marker": "" if joined else "."}
+    panel.plot(columns, color=BASELINE, lw=0.6, alpha=0.6, ms=4.0, **marks)
+    panel.plot(columns[np.arange(len(columns)), chosen], color=TUNED, lw=1.6, ms=7.0, **marks)
     panel.set_title(title)
     panel.set_xlabel("look")

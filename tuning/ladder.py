@@ -37,6 +37,8 @@ class Step(NamedTuple):
     state: State
     added: Found | None = None
     """The scenario that this round added."""
+    descent: bool = True
+    """Whether a start keeps its place from look to look; with space mapping each look has new points."""
 
 
 class Climb(NamedTuple):
@@ -72,7 +74,7 @@ def climb(spec: TuneSpec, folder: Path | None = None, show: bool = False) -> Cli
         if last and mapped(job):
             z = proposed(job, steps[-1].state, PROPOSED * job.tune.starts)
             state = refine(job, problem, met, z, folder, _file("mapping", job), show)
-            steps.append(Step("mapping", level, problem, state))
+            steps.append(Step("mapping", level, problem, state, descent=False))
         z = proposed(job, steps[-1].state, job.tune.starts if last else COARSE * job.tune.starts)
         share = LAST if last else BETWEEN
         plan = schedule(max(1, round(share * job.tune.steps)), False, LATER_RATE * job.tune.learning_rate)
@@ -92,7 +94,7 @@ def climb(spec: TuneSpec, folder: Path | None = None, show: bool = False) -> Cli
             plan = schedule(max(1, round(ROUND * job.tune.steps)), False, LATER_RATE * job.tune.learning_rate)
             z = proposed(job, steps[-1].state, job.tune.starts)
             state = descend(job, problem, z, plan, folder, file, show)
-        steps.append(Step(f"round {i + 1}", job.ladder[-1], problem, state, found))
+        steps.append(Step(f"round {i + 1}", job.ladder[-1], problem, state, found, not mapped(job)))
     return Climb(job, steps, orders)
 
 

@@ -1,7 +1,6 @@
 """The tuner's objective without its gradient, for any controller that the cascade's law can express.
 
-What is summed up is what `tuning.objective.look` sums up, of the same parts; the benchmark refuses to start unless
-both give the same number.
+The benchmark refuses to start unless both give the same number.
 """
 
 from collections.abc import Callable
@@ -19,21 +18,9 @@ from benchmarks.rivals import pi
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.world.contact import Contact
-from tuning.goals import OVERSHOOT, measured, standing
-from tuning.objective import (
-    HEADROOM,
-    PENALTY,
-    Data,
-    Designed,
-    Kind,
-    cells_of,
-    designed,
-    judged_contact,
-    overshoot_of,
-    seen,
-)
+from tuning.designed import Data, Designed, Kind, designed, judged_contact
+from tuning.objective import judge
 from tuning.problem import Problem
-from tuning.risk import soft_worst
 from tuning.transforms import Space
 
 BATCH = 16
@@ -114,28 +101,7 @@ def pi_control(z: Array, data: Data, kind: Kind) -> Designed:
 
 
 def judged(controllers: Designed, data: Data, kind: Kind) -> Seen:
-    """Loss of designed controllers; traceable. As `tuning.objective.look`, term by term."""
-    margins = jax.vmap(lambda found: standing(found, data.margins, HEADROOM))(controllers.found)
-    stable = jnp.all(controllers.found.spectral_radius < 1.0, axis=1)
-
-    def still(gain: Array) -> Array:
-        return jnp.where(stable.reshape(-1, *(1,) * (gain.ndim - 1)), gain, 0.0)
-
-    safe = controllers._replace(gains=jax.tree.map(still, controllers.gains))
-    cells = cells_of(safe, data, kind)
-    overshoot = overshoot_of(safe, kind) if OVERSHOOT in {*data.hard, *data.soft} else None
-    soft, hard = (
-        measured(cells, data.reference, overshoot, {name: limits[name] for name in seen(limits, data)})
-        for limits in (data.soft, data.hard)
-    )
-    soft = soft or {"rms": cells.rms}
-    scenarios = max(goal.shape[2] for goal in soft.values())
-    wide = [jnp.broadcast_to(goal, (*goal.shape[:2], scenarios, goal.shape[3])) for goal in soft.values()]
-    each = jnp.moveaxis(jnp.concatenate(wide, axis=3), 2, 1)
-    risk = kind.risk.over(soft_worst(each.reshape(*each.shape[:2], -1)))
-    largest = [jnp.max(goal, axis=(1, 2, 3)) for goal in hard.values()]
-    missed = sum((jnp.maximum(1.0 - 1.0 / value + HEADROOM, 0.0) for value in largest), jnp.zeros(len(stable)))
-    log_risk = jnp.log(jnp.where(stable & (risk > 0.0), risk, 1.0))
-    loss = log_risk + PENALTY * (margins.violation + jnp.where(stable, missed, 0.0))
-    worst = jnp.max(jnp.stack([jnp.max(margins.normalised, axis=(1, 2), initial=0.0), *largest]), axis=0)
-    return Seen(loss, jnp.where(stable, risk, jnp.nan), jnp.where(stable, worst, jnp.inf))
+    """Loss of designed controllers, as the tuner has it; traceable."""
+    found = judge(controllers, data, kind)
+    worst = jnp.max(jnp.stack([jnp.max(found.margins.normalised, axis=(1, 2), initial=0.0), *found.hard]), axis=0)
+    return Seen(found.loss, jnp.where(found.stable, found.risk, jnp.nan), jnp.where(found.stable, worst, jnp.inf))

@@ -14,8 +14,9 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.precision import in_float64
 from tuning import TuneSpec
 from tuning.corrected import REACH, minimised, values_and_slopes
+from tuning.designed import Data
 from tuning.mapping import Measured, correction, parents, refine, spectra_of
-from tuning.objective import HEADROOM, Data, Values, look
+from tuning.objective import HEADROOM, Values, look
 from tuning.problem import Problem, problem_of, training
 from tuning.state import State
 

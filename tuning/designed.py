@@ -1,0 +1,140 @@
+"""Designed controllers in the worlds of a job: what is measured of them, in time or from spectra, and their margins."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxmpc.engine.cells import over_cells
+from jaxmpc.engine.rollout import AxisSignals, run, scalars
+from jaxmpc.law.cascade import Gains
+from jaxmpc.metrics import Metrics
+from jaxmpc.params import HP_MAX, Params
+from jaxmpc.scene import Scene, World, run_cells
+from jaxmpc.stability import Margins, margins_one
+from jaxmpc.stability.chatter import chatter_rms, effort_rms
+from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
+from jaxmpc.stability.residual import residual_rms
+from jaxmpc.stability.spectrum import Spectrum
+from jaxmpc.synthesis import design_one
+from jaxmpc.world.contact import Contact, hertz
+from tuning.risk import Risk
+from tuning.transforms import Axis
+
+STEP_SAMPLES = 512
+"""Length of the step response in which the overshoot is looked for [samples]."""
+
+
+class Kind(NamedTuple):
+    """What needs a program of its own; all else is data."""
+
+    axes: tuple[Axis, ...]
+    ideal_goals: bool
+    world: World
+    precision: str
+    risk: Risk
+
+
+class Data(NamedTuple):
+    """What a program takes besides the starts."""
+
+    scene: Scene
+    spectra: Any
+    """Of the scenarios, stacked: then no time is stepped. Else None."""
+    correction: Metrics | None
+    """Factors on what the spectra say, (starts, stiffness, scenarios, 3); on the RMS for what they do not see. None
+    corrects nothing."""
+    base: Params
+    """Values of what is frozen."""
+    margins: Mapping[str, Any]
+    """Hard goals on margins: limit per start, (starts,)."""
+    hard: Mapping[str, Any]
+    """Hard goals on the runs, (starts,)."""
+    soft: Mapping[str, Any]
+    """Soft goals, all on the runs."""
+    judged_at: Any
+    """Stiffnesses at which margins are judged [N/m]."""
+    reference: Metrics
+    """Of the start point, (stiffness, scenarios, 3); for goals that are ratios."""
+
+
+def judged_contact(K_s: Any, K2: Any, scene: Scene, ideal: bool) -> Contact:
+    """The world in which `jaxmpc.margins` judges: it runs through the WAM's filters or, if ideal, through none."""
+    sensor = 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ)
+    return contact_of(K_s, K2, scene.T_s, scene.delay, ideal, VELOCITY_CUTOFF, sensor)
+
+
+class Designed(NamedTuple):
+    """One controller, the worlds that it runs in, and how it stands to its margins."""
+
+    params: Params
+    gains: Gains
+    contacts: Contact
+    """(stiffness,)"""
+    found: Margins
+    """(judged_at,)"""
+
+
+def designed(params: Params, data: Data, width: Any, kind: Kind) -> Designed:
+    """Design one controller and judge its margins as `jaxmpc.margins` defines them; traceable."""
+    scene = data.scene
+    gains, residual = design_one(params, scene.T_s, width)
+
+    def contact(K_s: Any) -> Contact:
+        filters = scene.delay, kind.world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
+        return contact_of(K_s, params.K2, scene.T_s, *filters)
+
+    def judge(K_s: Any) -> Margins:
+        judged = judged_contact(K_s, params.K2, scene, kind.ideal_goals)
+        return margins_one(gains, judged, kind.ideal_goals, residual)
+
+    return Designed(params, gains, jax.vmap(contact)(scene.stiffness), jax.vmap(judge)(data.judged_at))
+
+
+def cells_of(controllers: Designed, data: Data, kind: Kind) -> Metrics:
+    """What is measured of every controller, (starts, stiffness, scenarios, 3); traceable.
+
+    From spectra it is residual RMS, effort and chatter; the peaks are NaN, or with a correction a multiple of the RMS.
+    """
+    scene, world = data.scene, kind.world
+    if data.spectra is None:
+        gains = jax.vmap(lambda g: scalars(g, world.preview))(controllers.gains)
+        ran = run_cells(world, gains, controllers.params.K2, controllers.contacts, scene, kind.precision)
+        flat = jax.tree.map(lambda leaf: leaf.astype(jnp.float64), ran.metrics)
+        cells: Metrics = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:2], -1, 3), flat)
+        return cells
+
+    def spectral(gains: Gains, contact: Contact, spectrum: Spectrum) -> Metrics:
+        loop = gains, contact, spectrum
+        rms, effort, chatter = residual_rms(*loop), effort_rms(*loop), chatter_rms(*loop)
+        peak = jnp.full_like(rms, jnp.nan)
+        return Metrics(rms, peak, effort, chatter, peak, peak)
+
+    over_scenarios = jax.vmap(spectral, in_axes=(None, None, 0))
+    over_tissues = jax.vmap(over_scenarios, in_axes=(None, 0, None))
+    found: Metrics = jax.vmap(over_tissues, in_axes=(0, 0, None))(controllers.gains, controllers.contacts, data.spectra)
+    if data.correction is None:
+        return found
+    seen_by_it = found._replace(peak_to_peak=found.rms, peak_force=found.rms, peak_error=found.rms)
+    corrected: Metrics = jax.tree.map(jnp.multiply, seen_by_it, data.correction)
+    return corrected
+
+
+def overshoot_of(controllers: Designed, kind: Kind) -> Float[Array, "starts stiffness"]:
+    """How far the force of the linear loop exceeds a step of its reference, relative to the step; traceable."""
+    quiet, one = jnp.zeros((1, STEP_SAMPLES)), jnp.ones((1, STEP_SAMPLES))
+    wanted = jnp.ones((1, STEP_SAMPLES, HP_MAX if kind.world.preview else 1))
+    gains = jax.vmap(lambda g: scalars(g, kind.world.preview))(controllers.gains)
+    metrics, _ = over_cells(run, gains, controllers.contacts, jnp.zeros(1), AxisSignals(quiet, quiet, wanted, one))
+    return jnp.maximum(metrics.peak_force[..., 0] - 1.0, 0.0)
+
+
+@partial(jax.jit, static_argnames=("kind",))
+def measure(params: Params, data: Data, kind: Kind) -> Metrics:
+    """What is measured of one controller, (stiffness, scenarios, 3)."""
+    one = jax.tree.map(lambda leaf: leaf[None], designed(params, data, 1.0, kind))
+    cells: Metrics = jax.tree.map(lambda leaf: leaf[0], cells_of(one, data, kind))
+    return cells
