@@ -14,7 +14,7 @@ from tuning.figures import before_after_figure, history_figure
 from tuning.html import Html, fold, note, page, picture, section, table, tag
 from tuning.loop_figures import nyquist_figure, sensitivity_figure, step_figure
 from tuning.loops import Curves
-from tuning.reached import Row, kept, rows
+from tuning.reached import Row, kept, rows, verdict
 from tuning.report import (
     MARGIN_HEADS,
     METRICS,
@@ -48,7 +48,7 @@ def html_report(result: TuneResult, study: Study) -> str:
     return page(
         title,
         tag("h1", title),
-        tag("p", unmet or "All hard goals are met.", class_="bad" if unmet else "good"),
+        tag("p", verdict(result) + ".", class_="bad" if unmet else "good"),
         tag("p", f"Worst held-out residual RMS: {millinewton(before)} → {millinewton(after)} mN{change}."),
         _heldout(result),
         section("Goals", table(GOAL_HEAD, map(_goal, rows(result))), note(_goal_note(result))),

@@ -78,6 +78,14 @@ def rows(result: TuneResult) -> list[Row]:
     return found
 
 
+def verdict(result: TuneResult) -> str:
+    """Which goal is missed and by how much, or that all are met, and on held-out scenarios too."""
+    if unmet := result.unmet():
+        return unmet
+    missed = [row.text for row in rows(result) if row.hard and not row.met]
+    return "all hard goals are met" + (f" in training; held out, missed: {', '.join(missed)}" if missed else "")
+
+
 def _cells(result: TuneResult, which: int) -> Metrics:
     """Of one controller in the scenarios that count, each field (stiffness, scenarios, 3)."""
     cells: Metrics = jax.tree.map(lambda field: np.swapaxes(field[which][kept(result)], 0, 1), result.heldout)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxmpc.experiment import AXES
 from jaxmpc.params import BOUNDS
 from tuning.limits import active_margins
-from tuning.reached import kept, rows
+from tuning.reached import kept, rows, verdict
 from tuning.result import KINDS, TuneResult
 from tuning.scenarios import describe
 from tuning.state import FEASIBLE
@@ -20,7 +20,7 @@ def report(result: TuneResult) -> str:
     """The whole result as plain text."""
     spec, (before, after) = result.spec, result.worst
     change = f" ({-100 * result.gain:+.1f} %)" if np.isfinite(result.gain) else ""
-    lines = [result.unmet() or "all hard goals are met", "", *_goals(result), "", *_parameters(result), ""]
+    lines = [verdict(result), "", *_goals(result), "", *_parameters(result), ""]
     lines += [f"{name}: {seeds}" for name, seeds in seeds_used(result)]
     lines += [lost_text(result)] if not result.held.all() else []
     for metric, title in METRICS:
