@@ -61,6 +61,7 @@ def case() -> Case:
     return made()
 
 
+@pytest.mark.slow
 @in_float64
 def test_corrected_spectra_say_at_a_point_what_was_measured_there(case: Case) -> None:
     """Loss and every goal to rounding; and without the correction they do not."""
@@ -93,6 +94,7 @@ def test_an_evaluation_is_a_look_without_its_gradient(case: Case) -> None:
         np.testing.assert_allclose(getattr(case.measured, name), getattr(looked, name), rtol=1e-12, err_msg=name)
 
 
+@pytest.mark.slow
 @in_float64
 def test_slopes_of_risk_and_of_every_constraint_are_central_differences(case: Case) -> None:
     """Step 1e-5: rounding and curvature leave some 1e-8 of the largest slope."""
@@ -106,6 +108,7 @@ def test_slopes_of_risk_and_of_every_constraint_are_central_differences(case: Ca
     np.testing.assert_allclose(slopes, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
 
 
+@pytest.mark.slow
 @in_float64
 def test_the_search_ends_where_another_solver_does(case: Case) -> None:
     """An interior-point method from the same place: log risks to 2e-3, less than a correction is good for."""
@@ -135,6 +138,20 @@ def test_the_search_ends_where_another_solver_does(case: Case) -> None:
     assert risk == pytest.approx(other.fun, abs=2e-3)
 
 
+def test_a_correction_turns_what_was_said_into_what_was_measured() -> None:
+    """Peaks from the RMS; where the spectra say nothing there is nothing to correct."""
+    random = np.random.default_rng(0)
+    fine, coarse = (Metrics(*random.uniform(1.0, 2.0, (6, 2, 3, 1, 3))) for _ in range(2))
+    coarse = coarse._replace(
+        peak_to_peak=np.full((2, 3, 1, 3), np.nan), effort=coarse.effort * (np.arange(3) > 0), chatter=2.0 * coarse.rms
+    )
+    found = correction(fine, coarse)
+    for name in ("rms", "peak_to_peak", "peak_force", "peak_error"):
+        np.testing.assert_allclose(getattr(found, name) * coarse.rms, getattr(fine, name), rtol=1e-12)
+    np.testing.assert_allclose(2.0 * found.chatter * coarse.rms, fine.chatter, rtol=1e-12)
+    np.testing.assert_array_equal(found.effort[..., 0], 1.0)
+
+
 def test_searches_follow_the_best_and_none_that_lost_the_heart() -> None:
     z = np.arange(12.0).reshape(6, 2)
     none: Any = None
@@ -147,6 +164,7 @@ def test_searches_follow_the_best_and_none_that_lost_the_heart() -> None:
     assert parents(measured._replace(loss=np.full(6, np.nan)), 4, 1, 0) == []
 
 
+@pytest.mark.slow
 @in_float64
 def test_it_improves_and_a_killed_one_continues_to_the_same_bits(
     case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
