@@ -182,6 +182,19 @@ def robot_of(experiment: "Experiment") -> Robot:
     )
 
 
+def robot_on_its_tissue(experiment: "Experiment") -> Robot:
+    """The same with the experiment's stiffness.
+
+    Raises:
+        InputError: The experiment has several.
+    """
+    if len(experiment.stiffness) != 1:
+        remedy = "Take one experiment per stiffness."
+        raise InputError("stiffness", list(experiment.stiffness), "one stiffness [N/m]", remedy)
+    robot = robot_of(experiment)
+    return robot._replace(tissue=robot.tissue._replace(stiffness=experiment.stiffness[0]))
+
+
 def kalman_gains(rate_change: float, noise: float, T_s: float) -> tuple[float, float]:
     """Steady gains [-] and [1/s] of a filter whose model is a force with a slowly changing rate.
 

@@ -33,7 +33,7 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
     step = step or result.steps[-1]
     state, space = step.state, result.spec.space
     looks = state.look
-    chosen = np.full(looks, state.leader) if step.descent else _best(state)
+    chosen = np.full(looks, state.leader) if step.descent else best_of_each_look(state)
     values = space.values(state.path[:looks])
     ends = np.cumsum([axis.size for axis in space.axes])
     goals = [*result.spec.margin_goals, *step.problem.hard_goals]
@@ -99,6 +99,14 @@ def before_after_figure(result: TuneResult, path: Path) -> None:
         axes[0, 0].legend(loc="upper right", ncols=2)
 
 
+def best_of_each_look(state: State) -> np.ndarray:
+    """The start with the best score of each look, among those that hold the hard goals if there are any."""
+    score = np.nan_to_num(state.score[: state.look], nan=np.inf)
+    held = state.hard[: state.look].max(axis=2, initial=0.0) <= FEASIBLE
+    best: np.ndarray = np.lexsort((score, ~held), axis=1)[:, 0]
+    return best
+
+
 def logarithmic(panel: Any, which: str = "y") -> None:
     """A logarithmic axis, with numbers as people write them where it spans less than two decades.
 
@@ -123,14 +131,6 @@ def _over_scenarios(function: Any, cells: np.ndarray) -> np.ndarray:
     """Per tissue, of the runs that were not lost; 0, no bar, where all were."""
     found = [column[np.isfinite(column)] for column in cells.T]
     return np.array([function(column) if len(column) else 0.0 for column in found])
-
-
-def _best(state: State) -> np.ndarray:
-    """The start with the best score of each look, among those that hold the hard goals if there are any."""
-    score = np.nan_to_num(state.score[: state.look], nan=np.inf)
-    held = state.hard[: state.look].max(axis=2, initial=0.0) <= FEASIBLE
-    best: np.ndarray = np.lexsort((score, ~held), axis=1)[:, 0]
-    return best
 
 
 def _lines(panel: Any, columns: np.ndarray, chosen: np.ndarray, title: str, joined: bool) -> None:

@@ -79,18 +79,19 @@ def refine(
     state = State.new(z, _nothing(rounds * len(z), z.shape[1], problem), rounds, goals)
     if folder is not None:
         state = load(folder, spec.digest, state, name)
-    with progress("tune (mapping)", rounds, "rounds", show) as tick, ThreadPoolExecutor(_cores()) as pool:
+    cores = len(jax.local_devices())
+    with progress("tune (mapping)", rounds, "rounds", show) as tick, ThreadPoolExecutor(cores) as pool:
         while state.look < rounds and not state.stalled(PATIENCE, 0):
             values = problem.evaluate(state.z)
             state.record(values, exact=True, worth=WORTH)
             state.memory = _entered(state.memory, state.look, state.z, values, spectra)
             state.look += 1
+            tick(state.look, note(spec, state))
             beginnings = parents(state.memory, len(z), state.look, spec.tune.seed)
             if not beginnings:
                 break
-            searched = pool.map(partial(_proposal, spec, spectra, state.memory), beginnings)
-            state.z = np.stack(list(searched))
-            tick(state.look, note(spec, state))
+            if state.look < rounds:
+                state.z = np.stack(list(pool.map(partial(_proposal, spec, spectra, state.memory), beginnings)))
             if folder is not None:
                 save(folder, spec.digest, state, name)
     return state
@@ -164,7 +165,3 @@ def _entered(measured: Measured, look: int, z: np.ndarray, values: Values, spect
 
     entered: Measured = jax.tree.map(put, measured, new)
     return entered
-
-
-def _cores() -> int:
-    return len(jax.local_devices())

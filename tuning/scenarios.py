@@ -141,8 +141,8 @@ def _motion(drawn: Experiment, rhythm: str, seed: int) -> Motion:
         seed=seed,
         start=own.start,
         fade=own.fade,
-        rhythm=beats,  # type: ignore[arg-type]
-        ventilation=rhythm if rhythm in ("hold", "cough") else "steady",  # type: ignore[arg-type]
+        rhythm=beats,  # type: ignore[arg-type]  # one of Rhythm, without "own", "hold" and "cough"
+        ventilation=rhythm if rhythm in ("hold", "cough") else "steady",  # type: ignore[arg-type]  # both exist
         rate_step_at=min(defaults.rate_step_at, event),
         ventilation_at=min(defaults.ventilation_at, event),
         hold_duration=max(1.0, min(defaults.hold_duration, 0.5 * (drawn.duration - event))),

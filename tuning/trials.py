@@ -18,7 +18,7 @@ import jax
 import msgspec
 import numpy as np
 
-from jaxmpc.arm_settings import robot_of
+from jaxmpc.arm_settings import robot_on_its_tissue
 from jaxmpc.engine.arm_rollout import ArmSignals
 from jaxmpc.errors import InputError
 from jaxmpc.experiment import Experiment
@@ -29,7 +29,6 @@ from jaxmpc.scene import scene_of, world_of
 from jaxmpc.sealed import SealError, digest, seal, unseal, write_atomic
 from jaxmpc.status import Status
 from jaxmpc.world.contact import hertz
-from jaxmpc.world.robot import Robot
 from tuning.scenarios import Rhythm, Scenarios, scenario
 from tuning.trial_program import block_program
 
@@ -199,7 +198,7 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
 
     @cache
     def of_all_blocks() -> tuple[Any, tuple[int, ...], Any]:
-        robots = [_robot(trial) for trial in map(job.trial, range(POOL))]
+        robots = [robot_on_its_tissue(trial) for trial in map(job.trial, range(POOL))]
         structure = jax.tree.structure(robots[0])
         leaves = [jax.tree.leaves(robot) for robot in robots]
         # What differs in these differs everywhere: which it is must not depend on how many trials there are.
@@ -212,7 +211,7 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
         trials = [job.trial(first + i) for i in range(BLOCK)]
         met = [_judged_from_the_start(scene_of(trial).signals, job.base) for trial in trials[:POOL]]
         signals = jax.tree.map(lambda *parts: np.concatenate(parts), *met)
-        robots = [jax.tree.leaves(_robot(trial)) for trial in trials]
+        robots = [jax.tree.leaves(robot_on_its_tissue(trial)) for trial in trials]
         rows = np.array([[leaves[k] for k in varied] for leaves in robots], np.float64)
         # Trial first + POOL·copy + motion: motions lead, and are dealt to the devices.
         own = tuple(rows.reshape(COPIES, POOL, len(varied)).transpose(2, 1, 0))
@@ -230,11 +229,6 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
         return Outcomes(flat[0].astype(np.int8), *flat[1:])
 
     return compute
-
-
-def _robot(trial: Experiment) -> Robot:
-    robot = robot_of(trial)
-    return robot._replace(tissue=robot.tissue._replace(stiffness=trial.stiffness[0]))
 
 
 def _judged_from_the_start(signals: Any, base: Experiment) -> ArmSignals:

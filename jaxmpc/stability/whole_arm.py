@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxmpc.arm_settings import kind_of, robot_of
+from jaxmpc.arm_settings import kind_of, robot_on_its_tissue
 from jaxmpc.engine import arm_rollout as rollout
 from jaxmpc.engine.once import JitOnce
 from jaxmpc.errors import InputError
@@ -80,13 +80,7 @@ def robots_of(experiments: Sequence[Experiment]) -> Robot:
     Raises:
         InputError: An experiment has several stiffnesses.
     """
-    robots = []
-    for experiment in experiments:
-        if len(experiment.stiffness) != 1:
-            remedy = "Take one experiment per stiffness."
-            raise InputError("stiffness", list(experiment.stiffness), "one stiffness [N/m]", remedy)
-        robot = robot_of(experiment)
-        robots.append(robot._replace(tissue=robot.tissue._replace(stiffness=experiment.stiffness[0])))
+    robots = map(robot_on_its_tissue, experiments)
     batch: Robot = jax.tree.map(lambda *values: np.array(values, np.float64), *robots)
     return batch
 

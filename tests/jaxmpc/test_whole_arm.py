@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 
 from jaxmpc import Experiment, InputError, Params, design
-from jaxmpc.arm_settings import kind_of, robot_of
+from jaxmpc.arm_settings import kind_of, robot_on_its_tissue
 from jaxmpc.law import cascade, force_control
 from jaxmpc.law import chain as arm
 from jaxmpc.law.cascade import Gains
@@ -31,9 +31,7 @@ def experiment(delay: int = 1, stiffness: tuple[float, ...] = (K_S,), **changes:
 
 
 def world_of(given: Experiment) -> tuple[Kind, Robot]:
-    robot = robot_of(given)
-    touched = robot._replace(tissue=robot.tissue._replace(stiffness=given.stiffness[0]))
-    return kind_of(given.arm, given.tissue, bool(given.sensor.kalman)), touched
+    return kind_of(given.arm, given.tissue, bool(given.sensor.kalman)), robot_on_its_tissue(given)
 
 
 @pytest.mark.parametrize(

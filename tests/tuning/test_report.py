@@ -17,13 +17,14 @@ from jaxmpc.stability import Margins
 from tuning import TuneResult, TuneSpec, report
 from tuning.agreement import Agreement
 from tuning.explained import Study, limits_text
+from tuning.figures import best_of_each_look
 from tuning.files import write
 from tuning.html import picture, tag
 from tuning.ladder import Step
 from tuning.limits import Active, Limits, active_margins
 from tuning.loops import Curves
 from tuning.page import html_report
-from tuning.reached import rows
+from tuning.reached import Row, rows, verdict
 from tuning.sensitivities import Sensitivities
 from tuning.split import Split
 from tuning.state import State
@@ -132,6 +133,21 @@ def test_the_text_says_it_all(result: TuneResult) -> None:
     assert "M_s is active at 1900 N/m, 99.0 % of its limit" in said
     worst = 1e3 * result.heldout.rms[:, [0, 2, 3], 0, 0].max(axis=1)
     assert re.search(rf"375 +{worst[0]:.1f} +{worst[1]:.1f}", said)
+
+
+def test_a_goal_that_held_in_training_alone_is_told(result: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    known, missed = rows(result), Row("chatter", True, 1.2, (0.8, 1.207), 1900.0)
+    monkeypatch.setattr("tuning.reached.rows", lambda _: [*known, missed])
+    assert verdict(result) == "all hard goals are met in training; held out, missed: chatter ≤ 1.2 m/s²"
+
+
+def test_the_best_of_a_look_holds_its_goals_if_any_does() -> None:
+    state = State.new(np.zeros((3, 2)), (), 4, (2, 1))
+    state.look = 3
+    state.score[:3] = [[0.5, 2.0, 3.0], [0.9, np.nan, 0.8], [np.nan, np.nan, 1.0]]
+    state.hard[:3] = 1.0
+    state.hard[0, 0, 1], state.hard[2] = 1.1, 2.0
+    np.testing.assert_array_equal(best_of_each_look(state), [1, 2, 2])
 
 
 def test_goals_are_those_of_the_scenarios_that_were_held(result: TuneResult) -> None:
