@@ -17,10 +17,10 @@ QUIET = {
     "published": "table-1-wam",
     "stiffness": [375.0, 1900.0],
     "sensor": {"lsb": [0.0, 0.0, 0.0]},
-    "arm": {"encoder_counts": 0, "torque_lsb": 0.0},
+    "arm": {"encoder_counts": 0, "torque_lsb": 0.0, "torque_limit": [100.0] * 4},
     "reference": {"z": []},
 }
-"""Quantisers off: their tangent is straight-through on purpose, no difference sees it."""
+"""Without quantisers and saturation: their tangent is straight-through on purpose, which no difference sees."""
 TUNED = {"lam": 5.0, "Q_p": 40.0, "Q_x": 5.0, "T_cl": 3e-4, "K2": 19.0, "Khat_s": 1900.0, "Hp": 12, "Hu": 5}
 
 
