@@ -108,8 +108,7 @@ def python_loop(experiment: Any) -> tuple[float, np.ndarray]:
     from jaxmpc.world.motion import displacement
 
     params = Params.published("text")
-    gains = design(params)
-    numbers = [np.asarray(getattr(gains, name)) for name in mujoco_loop.Gains._fields[:-1]]
+    gains = mujoco_loop.Gains.of(design(params), float(params.K2))
     t = np.arange(experiment.steps) * experiment.sampling_time
     heart, velocity = displacement(experiment.motion, t)
     _, noise, wanted, score = experiment.signals
@@ -117,9 +116,7 @@ def python_loop(experiment: Any) -> tuple[float, np.ndarray]:
     records: list[Any] = []
 
     def once() -> None:
-        records[:] = [
-            mujoco_loop.run(loop, mujoco_loop.Gains(*numbers, float(params.K2)), heart, velocity, noise, wanted)
-        ]
+        records[:] = [mujoco_loop.run(loop, gains, heart, velocity, noise, wanted)]
 
     rate = experiment.steps / fastest(once)
     return rate, mujoco_loop.residual(records[0], wanted, score)[1]

@@ -13,7 +13,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from jaxmpc.law import force_control
+from jaxmpc.law import cascade, force_control
 from jaxmpc.scene import Scene, World
 from jaxmpc.world import arm, drive, robot
 
@@ -62,7 +62,8 @@ def _step(world: World, scene: Scene, gains: Any, K2: float, stiffness: float) -
     numbers = _floats(scene.robot)
     constants = numbers._replace(tissue=numbers.tissue._replace(stiffness=stiffness))
     body = robot.init(chain, kind, constants, 0.0, Ops)
-    controller = force_control.init(0.0, 1, body.drive.angle if kind.compensated else None)
+    resting = body.drive.angle if kind.compensated else None
+    controller = force_control.init(0.0, cascade.order(gains), resting, gains.guard is not None)
     empty = (controller, body, (0.0,) * 6)
     leaves = _flat(empty)
     x = casadi.SX.sym("x", len(leaves))
@@ -132,7 +133,7 @@ def _take(z: Any, sizes: list[int], i: int) -> list[Any]:
 
 
 def _flat(tree: Any) -> list[Any]:
-    if tree is None:  # a controller that cancels no friction remembers none
+    if tree is None:  # a controller that cancels no friction remembers none; nor does one without a guard
         return []
     return [leaf for part in tree for leaf in _flat(part)] if isinstance(tree, tuple) else [tree]
 

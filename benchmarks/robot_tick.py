@@ -2,8 +2,8 @@
 
 A tick is velocity filter → three cascades → computed torque → what was applied, told to the observers. Peers, in the
 same run and in turns of a thousand: the same law on Python floats, not recorded; and inverse dynamics by C MuJoCo with
-the rest in numpy, as one writes it without this package. All read the same inputs. "elapsed" is what the wall clock
-says, "own" what of it the processor spent on the tick: they differ where others use the machine.
+the rest in numpy, as one writes it without this package, and without a guard. All read the same inputs. "elapsed" is
+what the wall clock says, "own" what of it the processor spent on the tick: they differ where others use the machine.
 Then a million ticks, to see what stays behind.
 """
 
@@ -22,6 +22,7 @@ from benchmarks import mujoco_loop
 from deploy.arm_runtime import ArmRuntime
 from deploy.artifact import load
 from jaxmpc.law import cascade, force_control
+from jaxmpc.law import guard as guards
 from jaxmpc.law.scalar import scale, sub
 from tests.deploy import made
 
@@ -47,7 +48,8 @@ def recorded(artifact: Any, rows: Rows) -> Callable[[int], Any]:
 def on_floats(artifact: Any, rows: Rows) -> Callable[[int], Any]:
     arm, gains = artifact.arm, cascade.constant_reference(artifact.gains)
     pole = math.exp(-arm.velocity_cutoff * artifact.T_s)
-    state = force_control.State(tuple(cascade.init(y, cascade.order(gains)) for y in rows[0][1]), None)
+    guard = None if gains.guard is None else guards.init()
+    state = force_control.State(tuple(cascade.init(y, cascade.order(gains)) for y in rows[0][1]), None, guard)
     last, velocity = rows[0][0], (0.0,) * 4
 
     def tick(k: int) -> Any:
@@ -81,7 +83,7 @@ def by_mujoco(artifact: Any, rows: Rows) -> Callable[[int], Any]:
     arm, gains = artifact.arm, cascade.constant_reference(artifact.gains)
     loop = mujoco_loop.Loop(mass_scale=arm.nominal.mass_scale, tool_mass_error=arm.nominal.tool_error)
     nominal = mujoco_loop.NominalArm(mujoco.MjModel.from_xml_path(str(mujoco_loop.WAM)), loop)
-    cascades = mujoco_loop.Cascade(mujoco_loop.Gains(*gains, K2=artifact.K2))
+    cascades = mujoco_loop.Cascade(mujoco_loop.Gains.of(gains, artifact.K2))
     cascades.state[0] = cascades.state[5] = rows[0][1]
     pole, posture = math.exp(-arm.velocity_cutoff * artifact.T_s), np.array(arm.posture)
     inputs = [tuple(map(np.array, row)) for row in rows]

@@ -1,16 +1,16 @@
 """What a controller of the kind "wam" knows of its arm: model, posture, filter, limits and the trace of its tick."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from deploy.checks import AGAIN, array, constants
+from deploy.checks import AGAIN, array, constants, keyed
 from deploy.floor import number
 from deploy.limits import Limits
-from jaxmpc.errors import InputError, nearest
+from jaxmpc.errors import InputError
 from jaxmpc.law.chain import Chain, Link, mass_matrix, pose, tip
 from jaxmpc.law.compensation import Believed
 from jaxmpc.law.computed_torque import Nominal
@@ -152,7 +152,7 @@ class ArmModel:
         Raises:
             InputError: Something is missing, unknown, malformed or out of range; it is named.
         """
-        known = _keys("arm", table, MEANING)
+        known = keyed("arm", table, MEANING, MEANING)
         missing = [name for name in GOLDEN if name not in golden]
         if missing:
             raise InputError(missing[0], "missing", "given: the trace tells whether the torques are right", AGAIN)
@@ -174,14 +174,14 @@ def published_tip(q: Vector, tool_length: float) -> np.ndarray:
 
 def _chain(value: Any) -> Chain:
     """A chain of floats, from one or from the table of one."""
-    table = _keys("arm.chain", value, ("links", *CHAIN))
+    table = keyed("arm.chain", value, ("links", *CHAIN))
     links = table["links"]
     if not isinstance(links, list | tuple) or len(links) != 4:
         raise InputError("arm.chain.links", links, "four links", AGAIN)
     made = []
     for i, link in enumerate(links):
         name = f"arm.chain.links[{i}]"
-        parts = _keys(name, link, LINK)
+        parts = keyed(name, link, LINK)
         made.append(Link(**{key: constants(f"{name}.{key}", parts[key], shape) for key, shape in LINK.items()}))
         if not made[-1].mass > 0.0:
             raise InputError(f"{name}.mass", made[-1].mass, "positive [kg]", AGAIN)
@@ -195,8 +195,8 @@ def _chain(value: Any) -> Chain:
 
 def _nominal(value: Any) -> Nominal:
     """What is believed, as floats."""
-    table = _keys("arm.nominal", value, Nominal._fields)
-    friction = _keys("arm.nominal.friction", table["friction"], BELIEVED)
+    table = keyed("arm.nominal", value, Nominal._fields)
+    friction = keyed("arm.nominal.friction", table["friction"], BELIEVED)
     believed = {key: constants(f"arm.nominal.friction.{key}", friction[key], shape) for key, shape in BELIEVED.items()}
     if min(*believed["coulomb"], *believed["viscous"]) < 0.0:
         raise InputError("arm.nominal.friction", friction, "not negative", "Friction never drives a joint.")
@@ -210,17 +210,3 @@ def _between(name: str, value: Any, low: float, high: float) -> float:
     if not low <= found <= high:
         raise InputError(name, found, f"in [{low:g}, {high:g}]", AGAIN)
     return found
-
-
-def _keys(name: str, value: Any, known: Collection[str]) -> dict[str, Any]:
-    """A table, from one or from a NamedTuple, that has exactly the known keys."""
-    table = value._asdict() if hasattr(value, "_asdict") else value
-    if not isinstance(table, Mapping):
-        raise InputError(name, table, f"a table of {', '.join(known)}", AGAIN)
-    for key in known:
-        if key not in table:
-            bound = f"given: {MEANING[key]}" if name == "arm" else "given"
-            raise InputError(f"{name}.{key}", "missing", bound, AGAIN)
-    if surplus := [key for key in table if key not in known]:
-        raise InputError(f"{name}.{surplus[0]}", table[surplus[0]], "a known key", nearest(str(surplus[0]), [*known]))
-    return dict(table)

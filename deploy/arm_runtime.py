@@ -16,6 +16,7 @@ from deploy.record import functions as ops
 from deploy.record import record
 from jaxmpc.errors import InputError
 from jaxmpc.law import cascade, chain, compensation, computed_torque, force_control
+from jaxmpc.law import guard as guards
 from jaxmpc.law.scalar import add, scale, sub
 from jaxmpc.world import drive as drives
 
@@ -58,15 +59,16 @@ class ArmRuntime:
             remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
             raise InputError("kind", artifact.kind, "wam: a linear controller only replays", remedy)
         self._order, self._compensated, self._posture = cascade.order(artifact.gains), arm.compensated, arm.posture
+        self._guarded = artifact.gains.guard is not None
         ahead = _THREE if not artifact.preview else ((0.0,) * len(artifact.gains.mpc_ref),) * 3
         law = _Law(artifact)
         self.start(arm.posture)
-        torque, wrench = (self._axes, _THREE, self._bristles), (_FOUR, _FOUR, _THREE)
+        torque, wrench = (self._axes, _THREE, self._bristles, self._guard), (_FOUR, _FOUR, _THREE)
         control = record(law.control, (*torque, *wrench, ahead))
         self.operations = control.operations
         self._control = control.function
         self._measure = record(law.measure, (self._measured, _FOUR)).function
-        self._predict = record(law.predict, (self._axes,)).function
+        self._predict = record(law.predict, (self._axes, self._guard)).function
         self._told = record(law.told, (_THREE, _FOUR, law.jacobian, law.factors, _FOUR)).function
         self._servo = record(law.servo, (self._bristles, *wrench, _THREE)).function
         self._enter = record(law.enter, (_THREE, _FOUR, _FOUR, _THREE)).function
@@ -78,6 +80,7 @@ class ArmRuntime:
         angles = tuple(map(float, q))  # numbers of numpy would stay and make every sample slower
         self._measured: Any = (angles, _FOUR)
         self._bristles: Any = compensation.init(angles) if self._compensated else ()
+        self._guard: Any = guards.init() if self._guarded else ()
         self._axes: Any = (cascade.init(0.0, self._order),) * 3
         self._applied = self.last_v = self.last_a = self.last_force = _THREE
         self.last_torque = _FOUR
@@ -89,12 +92,12 @@ class ArmRuntime:
         return self._measured[1]  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     def enter(self, force: Triple, q: Joints) -> None:
-        """Contact is made: observers at the measured force [N], and bumpless.
+        """Contact is made: observers at the measured force [N], full gain, and bumpless.
 
         What was asked of the tip so far, v = a + K₂ẋ, was all that held it where it is: it is taken for the
         disturbance, p̂ = −v. While the wanted force is the measured one, `control` then begins with the same a.
         """
-        self._axes, self._applied = self._enter(force, q, self._measured[1], self.last_a)
+        self._axes, self._applied, self._guard = self._enter(force, q, self._measured[1], self.last_a)
         self.last_v = self._applied
 
     def control(self, q: Joints, qd: Joints, force: Triple | None, force_ref: Any) -> Joints:
@@ -110,12 +113,12 @@ class ArmRuntime:
             Joint torques before any limit [N m]; tell `applied` where they were changed.
         """
         if force is None:
-            force = self._predict(self._axes)
+            force = self._predict(self._axes, self._guard)
         self.last_force = force
-        self._axes, self._bristles, self.last_v, self.last_a, self.last_torque, self._found = self._control(
-            self._axes, self._applied, self._bristles, q, qd, force, force_ref
+        self._axes, self._bristles, self._guard, v, self.last_a, self.last_torque, self._found = self._control(
+            self._axes, self._applied, self._bristles, self._guard, q, qd, force, force_ref
         )
-        self._applied = self.last_v
+        self.last_v = self._applied = v
         return self.last_torque
 
     def applied(self, torque: Joints) -> None:
@@ -132,7 +135,7 @@ class ArmRuntime:
     @property
     def prediction(self) -> Triple:
         """What the observers expect to be measured next [N]."""
-        return self._predict(self._axes)  # type: ignore[no-any-return]  # a cast would cost time in the loop
+        return self._predict(self._axes, self._guard)  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
     def p_hat(self) -> Triple:
@@ -145,6 +148,16 @@ class ArmRuntime:
         """Outputs of the MPC [N]."""
         x, y, z = self._axes
         return x[2], y[2], z[2]
+
+    @property
+    def gain(self) -> float:
+        """Share of the loop's gain that the guard leaves [-]; 1 without one."""
+        return float(self._guard[0]) if self._guard else 1.0
+
+    @gain.setter
+    def gain(self, gain: float) -> None:
+        """Only for a replay that does not know how it came about; nothing changes without a guard."""
+        self._guard = (gain, *self._guard[1:]) if self._guard else ()
 
 
 class _Law:
@@ -165,31 +178,37 @@ class _Law:
         raw = scale(1.0 / self.T_s, sub(q, angle))
         return q, tuple(new + self.pole * (old - new) for new, old in zip(raw, velocity, strict=True))
 
-    def control(self, axes: Any, told: Any, bristles: Any, q: Any, qd: Any, force: Any, force_ref: Any) -> Any:
+    def control(
+        self, axes: Any, told: Any, bristles: Any, guard: Any, q: Any, qd: Any, force: Any, force_ref: Any
+    ) -> Any:
         arm = self.arm
         state = force_control.State(
-            tuple(axis._replace(v=v) for axis, v in zip(axes, told, strict=True)), bristles or None
+            tuple(axis._replace(v=v) for axis, v in zip(axes, told, strict=True)), bristles or None, guard or None
         )
         wanted = force_ref if self.preview else tuple((axis,) for axis in force_ref)
         state, command = force_control.step(
             arm.chain, arm.nominal, arm.posture, self.gains, self.K2, state, q, qd, force, wanted, ops
         )
         found = command.torque
-        return state.axes, state.bristles or (), command.v, command.a, found.torque, (found.jacobian, found.factors)
+        held = state.bristles or (), state.guard or ()
+        return state.axes, *held, command.v, command.a, found.torque, (found.jacobian, found.factors)
 
     def told(self, v: Any, wanted: Any, jacobian: Any, factors: Any, torque: Any) -> Any:
         found = computed_torque.Torque(wanted, jacobian, factors)
         return add(v, computed_torque.acceleration_of(found, sub(torque, wanted)))
 
-    def predict(self, axes: Any) -> Any:
+    def predict(self, axes: Any, guard: Any) -> Any:
         # Without a correction, an estimate is a prediction.
         blind = self.gains._replace(K=(0.0,) * len(self.gains.K))
+        if guard:
+            blind = cascade.with_gain(blind, guard.gain)
         return tuple(cascade.estimate(blind, axis, 0.0)[0][0] for axis in axes)
 
     def enter(self, force: Any, q: Any, qd: Any, a: Any) -> Any:
         v = add(a, scale(self.K2, computed_torque.tip_velocity(self.arm.chain, q, qd, ops)))
         axes = [cascade.init(each, cascade.order(self.gains)) for each in force]
-        return tuple(axis._replace(p_hat=-held, v=held) for axis, held in zip(axes, v, strict=True)), v
+        guard = guards.init() if self.gains.guard is not None else ()
+        return tuple(axis._replace(p_hat=-held, v=held) for axis, held in zip(axes, v, strict=True)), v, guard
 
     def servo(self, bristles: Any, q: Any, qd: Any, a: Any, force: Any) -> Any:
         arm, friction = self.arm, force_control.NO_FRICTION

@@ -3,7 +3,6 @@
 import math
 import os
 import stat
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,12 @@ import numpy as np
 
 from deploy import arm_model, arm_runtime
 from deploy import floor as margin_floor
+from deploy import gains as frozen
 from deploy.arm_model import ArmModel
-from deploy.checks import AGAIN, array, constants, plain
+from deploy.checks import AGAIN, array, plain
 from deploy.runtime import replay
 from jaxmpc.errors import InputError
-from jaxmpc.law.cascade import Gains, constant_reference, order
+from jaxmpc.law.cascade import Gains
 from jaxmpc.sealed import LARGEST, SealError, seal, unseal
 
 SCHEMA, VERSION = "jaxmpc controller", 1
@@ -24,10 +24,6 @@ KINDS = ("linear", "wam")
 """The three cascades alone, which only replay; and all that drives an arm."""
 TOLERANCE = 1e-9
 """Largest deviation from the golden trace at load [-, N m]; `deploy.runtime.replay` says why."""
-GAIN_SHAPES: Mapping[str, tuple[int | None, ...]] = {
-    "phi": (2,), "gamma": (2,), "K": (None,), "L": (3,), "input_gain": (),
-    "mpc_ref": (None,), "mpc_x": (2,), "mpc_u": (),
-}  # fmt: skip
 GOLDEN = ("golden_force", "golden_force_ref", "golden_v")
 HEADER = ("gains", "T_s", "K2", "preview", "params", "margins", "floor", "provenance")
 
@@ -41,7 +37,8 @@ class Artifact:
     """A frozen controller; whatever exists is stable, above its floor and well formed.
 
     Attributes:
-        gains: Gains of the law, floats and tuples of floats.
+        gains: Gains of the law, floats and tuples of floats. A guard takes an arm: it watches all axes together, so
+            the cascades alone are refused with one rather than replayed without it.
         T_s: Sampling time [s].
         K2: Damping of the tip velocity, subtracted from v outside the law [1/s].
         preview: Whether the runtime takes the future reference along H_p, or a constant.
@@ -72,12 +69,10 @@ class Artifact:
     arm: ArmModel | None = None
 
     def __post_init__(self) -> None:
-        gains = Gains(
-            **{name: constants(name, getattr(self.gains, name), shape) for name, shape in GAIN_SHAPES.items()}
-        )
-        if not 1 <= order(gains) <= 3:
-            raise InputError("K", f"{len(gains.K)} numbers", "4 to 6", "The disturbance order is 1, 2 or 3.")
-        array("sum of mpc_ref", constant_reference(gains).mpc_ref, (1,))
+        gains = frozen.checked(self.gains)
+        if gains.guard is not None and self.arm is None:
+            remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
+            raise InputError("guard", "given", "left out where no arm is driven", remedy)
         if not isinstance(self.preview, bool):
             raise InputError("preview", self.preview, "true or false", "Say whether the future reference is known.")
         T_s, K2 = margin_floor.number("T_s", self.T_s), margin_floor.number("K2", self.K2)
@@ -145,7 +140,8 @@ def check_golden(artifact: Artifact) -> float:
 def to_bytes(artifact: Artifact) -> bytes:
     """The file's content; the same artifact gives the same bytes."""
     rows = [{key: "inf" if value == np.inf else value for key, value in row.items()} for row in artifact.margins]
-    header = {name: getattr(artifact, name) for name in HEADER} | {"gains": artifact.gains._asdict(), "margins": rows}
+    plainly = {"gains": frozen.plain(artifact.gains), "margins": rows}
+    header = {name: getattr(artifact, name) for name in HEADER} | plainly
     golden = {name: getattr(artifact, name) for name in GOLDEN}
     if artifact.arm is not None:
         header |= {"arm": artifact.arm.plain()}
@@ -177,8 +173,8 @@ def from_bytes(data: bytes) -> Artifact:
     if missing := [name for name in keys if name not in header]:
         raise ArtifactError(f"its header lacks {missing[0]}")
     gains = header["gains"]
-    if not isinstance(gains, dict) or set(gains) != set(GAIN_SHAPES):
-        raise ArtifactError(f"its gains are not a table of {', '.join(GAIN_SHAPES)}")
+    if not isinstance(gains, dict) or set(gains) - {"guard"} != set(frozen.SHAPES):
+        raise ArtifactError(f"its gains are not a table of {', '.join(frozen.SHAPES)}")
     try:
         fields = {name: header[name] for name in HEADER} | {name: arrays[name] for name in GOLDEN}
         with np.errstate(all="ignore"):  # what overflows is refused for what it gives

@@ -1,10 +1,11 @@
 """What comes out of a file, checked: arrays of one shape, tables of plain data."""
 
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 
-from jaxmpc.errors import InputError
+from jaxmpc.errors import InputError, nearest
 from jaxmpc.sealed import canonical_json
 
 AGAIN = "Freeze the controller again."
@@ -40,6 +41,30 @@ def constants(name: str, value: Any, shape: tuple[int | None, ...]) -> Any:
         InputError: As `array`.
     """
     return _tuples(array(name, value, shape).tolist())
+
+
+def keyed(name: str, value: Any, known: Collection[str], meaning: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """A table, from one or from a NamedTuple, that has exactly the known keys.
+
+    Args:
+        name: Of the table.
+        value: What should be one.
+        known: Keys.
+        meaning: What each of them is, said where it is missing.
+
+    Raises:
+        InputError: It is no table, lacks a key or has another.
+    """
+    table = value._asdict() if hasattr(value, "_asdict") else value
+    if not isinstance(table, Mapping):
+        raise InputError(name, table, f"a table of {', '.join(known)}", AGAIN)
+    for key in known:
+        if key not in table:
+            bound = f"given: {meaning[key]}" if meaning else "given"
+            raise InputError(f"{name}.{key}", "missing", bound, AGAIN)
+    if surplus := [key for key in table if key not in known]:
+        raise InputError(f"{name}.{surplus[0]}", table[surplus[0]], "a known key", nearest(str(surplus[0]), [*known]))
+    return dict(table)
 
 
 def plain(name: str, value: Any) -> None:

@@ -30,7 +30,7 @@ def freeze(
 
     Args:
         path: Where to; an artifact that is there is replaced, any other file is not.
-        gains: One controller: numbers and arrays of any library that numpy can read.
+        gains: One controller: numbers and arrays of any library that numpy can read; guarded only with an arm.
         T_s: Sampling time [s].
         K2: Damping of the tip velocity [1/s].
         params: Parameters that it was designed from, plain data.

@@ -205,6 +205,7 @@ class Loop:
             *runtime.last_v,
             *runtime.last_a,
             *runtime.p_hat,
+            runtime.gain,
             *done.where.tip,
             *done.q,
             *self._cycle.checker.torque,

@@ -27,6 +27,7 @@ SIMULATED: Mapping[str, tuple[int, str]] = {
     "v": (3, "m/s²"),
     "a": (3, "m/s²"),
     "p_hat": (3, "m/s²"),
+    "gain": (1, "-"),
     "tip": (3, "m"),
     "q": (4, "rad"),
     "torque": (4, "N m"),

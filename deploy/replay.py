@@ -12,7 +12,7 @@ import numpy as np
 
 from deploy.arm_runtime import ArmRuntime
 from deploy.artifact import Artifact
-from deploy.recorder import Recording, RecordingError
+from deploy.recorder import COLUMNS, Recording, RecordingError
 
 INPUTS = ("time", "q", "qd", "force", "force_ref", "applied", "a", "state", "position_age")
 COMPARED: Mapping[str, str] = {
@@ -21,17 +21,19 @@ COMPARED: Mapping[str, str] = {
     "v": "m/s²",
     "a": "m/s²",
     "p_hat": "m/s²",
+    "gain": "-",
     "wanted": "N m",
 }
 """Signals that are computed anew, with units."""
-LAW = ("u", "v", "a", "p_hat")
-"""Those that the cascades alone make; elsewhere than in contact they rest."""
+LAW = ("u", "v", "a", "p_hat", "gain")
+"""Those that the cascades and the guard make; elsewhere than in contact they rest."""
 TOLERANCE = 1e-9
 """Largest difference, as a share of the largest value or of 1 in its unit, whichever is more: rounding stays below
 1e-12, another law or gain does not."""
 SETTLING = 2.0
 """Left out at the beginning of a recording that begins (almost) in contact [s]: the observers' earlier samples are not
-in it. Half of that brings the paper's text controller within 1e-12."""
+in it. Half of that brings the paper's text controller within 1e-12. A guard's gain would take minutes: it is taken
+from the recording until then."""
 FILTER = 0.3
 """Left out after a missing position [s], in which the velocity's low-pass forgets."""
 SERVO = ("armed", "approach", "retract", "stopped")
@@ -61,6 +63,8 @@ class Inputs(NamedTuple):
     """Whether the law's outputs can be told from this recording."""
     fresh: np.ndarray
     """Whether velocities can be."""
+    gain: np.ndarray
+    """Gain after the sample where it is taken from the recording, NaN where it is computed (n,) [-]."""
 
 
 class Difference(NamedTuple):
@@ -134,6 +138,7 @@ def inputs_of(recording: Recording, artifact: Artifact, sha256: str) -> Inputs:
     servo = np.isin(number, [i for i, name in enumerate(states) if name in SERVO]) & np.all(
         np.isfinite(signals["a"]), axis=1
     )
+    gain = signals["gain"][:, 0]
     return Inputs(
         T_s=artifact.T_s,
         time=time,
@@ -148,13 +153,14 @@ def inputs_of(recording: Recording, artifact: Artifact, sha256: str) -> Inputs:
         servo=servo,
         judged=judged,
         fresh=fresh,
+        gain=np.where(~judged & (gain > 0.0), gain, np.nan),
     )
 
 
 def through_runtime(inputs: Inputs, artifact: Artifact) -> dict[str, np.ndarray]:
     """The signals of `COMPARED` from the runtime; NaN where it does not make them."""
     runtime = ArmRuntime(artifact)
-    found = {name: np.full((len(inputs.time), 4 if name in ("qd", "wanted") else 3), np.nan) for name in COMPARED}
+    found = {name: np.full((len(inputs.time), COLUMNS[name][0]), np.nan) for name in COMPARED}
     q = [tuple(row) for row in inputs.q.tolist()]
     runtime.start(q[0])
     for k, angles in enumerate(q):
@@ -172,8 +178,10 @@ def through_runtime(inputs: Inputs, artifact: Artifact) -> dict[str, np.ndarray]
             wanted = tuple(map(tuple, inputs.force_ref[k].tolist())) if inputs.force_ref.ndim == 3 else None
             found["wanted"][k] = runtime.control(angles, qd, force, wanted or tuple(inputs.force_ref[k].tolist()))
             found["v"][k], found["a"][k] = runtime.last_v, runtime.last_a
-            found["p_hat"][k], found["u"][k] = runtime.p_hat, runtime.u
+            found["p_hat"][k], found["u"][k], found["gain"][k] = runtime.p_hat, runtime.u, runtime.gain
             runtime.applied(applied)
+            if not math.isnan(inputs.gain[k]):
+                runtime.gain = float(inputs.gain[k])
         elif inputs.servo[k]:
             a = tuple(inputs.a[k].tolist())
             found["wanted"][k] = runtime.servo(angles, qd, a, force or (0.0, 0.0, 0.0))

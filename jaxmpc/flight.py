@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxmpc.engine import ops
 from jaxmpc.law import cascade, compensation, computed_torque, force_control
+from jaxmpc.law import guard as guards
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.computed_torque import Nominal
@@ -36,6 +37,8 @@ class Flown(NamedTuple):
     """Whether it was for the first time (n,)."""
     servo: Any
     """Whether the servo was, which only moves the friction's bristles (n,)."""
+    gain: Any
+    """Gain that a guard left after the sample (n,) [-]; NaN where it is to be found."""
 
 
 @in_float64
@@ -54,14 +57,15 @@ def law_over(
         flown: Inputs.
 
     Returns:
-        Arrays (n, 3) and (n, 4); where the law was not in control they mean nothing.
+        Arrays (n, 3), (n, 4) and, the gain, (n, 1); where the law was not in control they mean nothing.
     """
 
     def one(state: force_control.State, now: Flown) -> tuple[force_control.State, dict[str, Any]]:
         q, qd, force, applied, a = (tuple(row) for row in (now.q, now.qd, now.force, now.applied, now.a))
         at_entry = tuple(jnp.where(jnp.isnan(y), 0.0, y) for y in force)
         state = _chosen(now.enters, _entered(state, at_entry, q, qd, a), state)
-        predicted = tuple(cascade.estimate(blind, axis, 0.0)[0][0] for axis in state.axes)
+        scaled = blind if state.guard is None else cascade.with_gain(blind, state.guard.gain)
+        predicted = tuple(cascade.estimate(scaled, axis, 0.0)[0][0] for axis in state.axes)
         known = ~jnp.any(jnp.isnan(now.force))
         force = tuple(jnp.where(known, y, guess) for y, guess in zip(force, predicted, strict=True))
         wanted = tuple(tuple(axis) for axis in now.force_ref)
@@ -71,8 +75,12 @@ def law_over(
             "v": command.v,
             "a": command.a,
             "p_hat": tuple(axis.p_hat for axis in following.axes),
+            "gain": (jnp.ones(()) if following.guard is None else following.guard.gain,),
             "wanted": command.torque.torque,
         }
+        if following.guard is not None:
+            gain = jnp.where(jnp.isnan(now.gain), following.guard.gain, now.gain)
+            following = following._replace(guard=following.guard._replace(gain=gain))
         if state.bristles is not None:
             moved, _ = compensation.step(nominal.friction, state.bristles, q, qd, ops)
             state = state._replace(bristles=_chosen(now.servo, moved, state.bristles))
@@ -86,13 +94,14 @@ def law_over(
             cascade.init(felt, cascade.order(gains))._replace(p_hat=-held, v=held)
             for felt, held in zip(force, v, strict=True)
         )
-        return state._replace(axes=(x, y, z))
+        return state._replace(axes=(x, y, z), guard=guard)
 
+    guard = None if gains.guard is None else jax.tree.map(jnp.asarray, guards.init())
     blind = gains._replace(K=(0.0,) * len(gains.K))
     flown = Flown(*map(jnp.asarray, flown))
-    q, force = tuple(flown.q[0]), jnp.nan_to_num(flown.force[0])
+    q, force = tuple(flown.q[0]), tuple(jnp.nan_to_num(flown.force[0]))
     axes: Any = tuple(cascade.init(y, cascade.order(gains)) for y in force)
-    start = force_control.State(axes, compensation.init(q) if compensated else None)
+    start = force_control.State(axes, compensation.init(q) if compensated else None, guard)
     start = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), start)
     _, signals = jax.jit(lambda start, flown: jax.lax.scan(one, start, flown))(start, flown)
     return {name: np.asarray(values) for name, values in signals.items()}

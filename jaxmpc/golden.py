@@ -13,6 +13,7 @@ from jaxmpc.engine.rollout import scalars
 from jaxmpc.evaluation import evaluate_block
 from jaxmpc.experiment import Experiment
 from jaxmpc.law import cascade, force_control
+from jaxmpc.law import guard as guards
 from jaxmpc.law.cascade import Gains
 from jaxmpc.params import Params
 from jaxmpc.precision import in_float64
@@ -154,10 +155,11 @@ def _arm_law_trace(gains: Gains, K2: Any, robot: Robot, run: Any, compensated: b
         controller = force_control.applied(controller, command, sent)
         return (controller, read), tuple(map(jnp.stack, (command.v, torque, sent)))
 
-    q, force = tuple(run[0][0]), run[1][0]
+    zero, q, force = 0.0 * K2, tuple(run[0][0]), tuple(run[1][0])
     x, y, z = (cascade.init(each, order) for each in force)
-    controller = force_control.init(0.0, order, q if compensated else None)._replace(axes=(x, y, z))
-    start = (controller, drives.DriveState(q, (0.0 * K2,) * 4))
+    guard = None if gains.guard is None else guards.init(zero)
+    controller = force_control.init(zero, order, q if compensated else None)._replace(axes=(x, y, z), guard=guard)
+    start = (controller, drives.DriveState(q, (zero,) * 4))
     return jax.lax.scan(one, start, run)[1]
 
 

@@ -21,7 +21,7 @@ HU_MAX = 16
 
 Architecture = Literal["mpc-aob", "aob", "mpc"]
 Order = Literal[1, 2, 3]
-STRUCTURE = ("architecture", "disturbance_order")
+STRUCTURE = ("architecture", "disturbance_order", "guarded")
 """What of a controller is no number to be tuned but needs a program of its own."""
 Number = Float[jax.Array | np.ndarray, "..."]
 
@@ -130,6 +130,9 @@ class Params(eqx.Module):
     """N, order of the random walk that the active state is taken for: 1 constant, 2 ramp, 3 parabola between samples.
     The same bandwidth needs a lower Q_p the higher N is."""
 
+    guarded: bool = eqx.field(static=True, default=False)
+    """Whether the gain is taken back while the force swings faster than a heart can (`jaxmpc.law.guard`)."""
+
     def __check_init__(self) -> None:
         if self.architecture not in get_args(Architecture):
             known = list(get_args(Architecture))
@@ -140,6 +143,13 @@ class Params(eqx.Module):
         if self.architecture == "mpc" and order != 1:
             remedy = "MPC alone has no active state: leave it out."
             raise InputError("disturbance_order", order, '1 with the architecture "mpc"', remedy)
+        if not isinstance(self.guarded, bool):
+            raise InputError(
+                "guarded", self.guarded, "true or false", "True lets the gain fall while the force swings."
+            )
+        if self.guarded and self.architecture == "mpc":
+            remedy = "MPC alone has no model of the tissue to scale: leave it out."
+            raise InputError("guarded", self.guarded, 'false with the architecture "mpc"', remedy)
         values = {name: getattr(self, name) for name in BOUNDS}
         if all(isinstance(value, np.ndarray) for value in values.values()):
             check_values(values)
@@ -297,3 +307,11 @@ def check_values(values: Mapping[str, np.ndarray]) -> None:
     batch = values["Khat_s"].ndim
     if not np.all(np.sum(values["delta"], axis=tuple(range(batch, values["delta"].ndim))) > 0.0):
         raise InputError("delta", 0.0, "positive somewhere", "Without weight on the force error nothing is controlled.")
+
+
+def by_structure(controllers: Sequence[Params]) -> list[list[int]]:
+    """Which controllers can be a batch, as their numbers."""
+    alike: dict[str, list[int]] = {}
+    for i, params in enumerate(controllers):
+        alike.setdefault(repr(params.structure), []).append(i)
+    return list(alike.values())

@@ -27,7 +27,8 @@ def write(result: TuneResult, folder: Path) -> list[Path]:
     written = []
     if result.feasible:
         written.append(folder / "params.toml")
-        comment = "Tuned by jaxmpc. Freeze it: jaxmpc freeze params.toml -o controller.npz"
+        experiment = "" if result.spec.experiment.physics == "linear" else " --experiment table-1-wam"
+        comment = f"Tuned by jaxmpc. Freeze it: jaxmpc freeze params.toml{experiment} -o controller.npz"
         write_toml(written[-1], {"params": result.params.to_dict(), "provenance": provenance(result)}, comment)
     written.append(folder / "history.npz")
     write_atomic(written[-1], history(result))

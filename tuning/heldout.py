@@ -12,7 +12,7 @@ from jaxmpc.engine.once import JitOnce
 from jaxmpc.engine.rollout import scalars
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
-from jaxmpc.params import Params
+from jaxmpc.params import Params, by_structure
 from jaxmpc.progress import progress
 from jaxmpc.scene import Scene, World, run_cells, world_of
 from jaxmpc.stability.loop import contact_of
@@ -28,17 +28,17 @@ def compare(controllers: Sequence[Params], experiments: Sequence[Experiment], sh
     """What is measured of several controllers in each scenario.
 
     Args:
-        controllers: The controllers; of one structure they run side by side.
+        controllers: The controllers; those of one structure run side by side.
         experiments: Scenarios of one experiment.
         show: Whether to show progress.
 
     Returns:
         Each field (controllers, scenarios, stiffness, 3); NaN where a run left the finite numbers or 1 kN.
     """
-    if len({tuple(params.structure.values()) for params in controllers}) == 1:
-        return _compare(Params.stack(controllers), experiments, show)
-    parts = [_compare(Params.stack([params]), experiments, show) for params in controllers]
-    whole: Metrics = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
+    alike = by_structure(controllers)
+    parts = [_compare(Params.stack([controllers[i] for i in rows]), experiments, show) for rows in alike]
+    order = np.argsort(np.concatenate(alike))
+    whole: Metrics = jax.tree.map(lambda *fields: np.concatenate(fields)[order], *parts)
     return whole
 
 

@@ -109,17 +109,20 @@ class Space:
     def decode(self, z: Float[Array, " size"], width: Any) -> Params:
         """Parameters of one vector; traceable.
 
+        Without a guard, whatever the base has: what takes the gain back while a loop swings would hide the swing
+        from a tuner.
+
         Args:
             z: Unconstrained.
             width: Softness of the horizons [samples]; at 1 they are rounded to whole samples, H_u ≤ H_p.
         """
-        values = {name: jnp.asarray(getattr(self.base, name), jnp.float64) for name in BOUNDS}
+        values: dict[str, Any] = {name: jnp.asarray(getattr(self.base, name), jnp.float64) for name in BOUNDS}
         for axis, part in zip(self.axes, self._parts, strict=True):
             values[axis.name] = axis.value(z[part] if axis.length else z[part][0])
         whole = {name: jnp.round(values[name]) for name in HORIZONS}
         whole["Hu"] = jnp.minimum(whole["Hu"], whole["Hp"])
         values |= {name: jnp.where(width > 1.0, values[name], whole[name]) for name in HORIZONS}
-        return Params(**values, architecture=self.base.architecture, disturbance_order=self.base.disturbance_order)
+        return Params(**values, **{**self.base.structure, "guarded": False})
 
     def values(self, z: np.ndarray) -> np.ndarray:
         """Engineering values of vectors along the last dimension, horizons not rounded."""
@@ -145,10 +148,10 @@ class Space:
         return drawn
 
     def exact(self, z: np.ndarray) -> Params:
-        """The controller that a vector stands for once its horizons are rounded, as plain arrays."""
+        """The controller that a vector stands for, horizons rounded, as plain arrays; guarded if the base is."""
         rounded = self.decode(jnp.asarray(z), 1.0)
-        values = {name: np.asarray(getattr(rounded, name)) for name in BOUNDS}
-        return Params(**values, architecture=rounded.architecture, disturbance_order=rounded.disturbance_order)
+        values: dict[str, Any] = {name: np.asarray(getattr(rounded, name)) for name in BOUNDS}
+        return Params(**values, **self.base.structure)
 
 
 def axis_of(name: str, bounds: tuple[float, float] | None, diagonal: bool, order: int = 1) -> Axis:

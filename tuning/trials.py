@@ -8,7 +8,7 @@ matters on how many motions they occurred.
 A trial counts as unstable if its status is any but OK, or |e| ≥ 2 N after the first 2 s, ramps included.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from jaxmpc.arm_settings import robot_on_its_tissue
 from jaxmpc.engine.arm_rollout import ArmSignals
 from jaxmpc.errors import InputError
 from jaxmpc.experiment import Experiment
-from jaxmpc.params import Params
+from jaxmpc.params import Params, by_structure
 from jaxmpc.precision import in_float64
 from jaxmpc.progress import progress
 from jaxmpc.scene import scene_of, world_of
@@ -218,7 +218,7 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
         base = trials[0]
         found: dict[int, list[np.ndarray]] = {}
         filters = base.velocity_lowpass, hertz(base.sensor.lowpass_hz)
-        for members in _by_structure(job.controllers):
+        for members in by_structure(job.controllers):
             program = block_program(world_of(base).kind, base.reference.preview, varied, structure)
             batch = Params.stack([job.controllers[i] for i in members])
             shared = batch, constant, base.sampling_time, filters
@@ -236,11 +236,3 @@ def _judged_from_the_start(signals: Any, base: Experiment) -> ArmSignals:
     late = np.asarray(signals.time) >= base.settle
     judged: ArmSignals = signals._replace(score=np.broadcast_to(late[..., None] * 1.0, signals.score.shape))
     return judged
-
-
-def _by_structure(controllers: Sequence[Params]) -> list[list[int]]:
-    """Which controllers share a program."""
-    kinds: dict[str, list[int]] = {}
-    for i, params in enumerate(controllers):
-        kinds.setdefault(repr(params.structure), []).append(i)
-    return list(kinds.values())

@@ -43,6 +43,10 @@ def run(args: argparse.Namespace) -> int:
     runs = "runs: `jaxmpc run` drives an arm with it" if artifact.arm else "replay only: it drives no arm"
     print(f"  kind        {artifact.kind}, {runs}")
     print(f"  T_s         {artifact.T_s:g} s\n  K2          {artifact.K2:g} 1/s\n  reference   {reference}")
+    guard, gain = artifact.gains.guard, "not guarded: the same whatever the force does"
+    if guard is not None:
+        gain = f"guarded: falls while the force swings by more than {guard.sensitivity**-0.5:.3g} N (RMS)"
+    print(f"  gain        {gain}")
     for title, table in (("made by", artifact.provenance), ("params", artifact.params)):
         print(f"  {title:<11} {', '.join(f'{key} {_short(value)}' for key, value in table.items()) or '-'}")
     if artifact.arm is not None:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from deploy.artifact import Artifact
     from jaxmpc.experiment import Experiment
     from jaxmpc.law.cascade import Gains
+    from jaxmpc.law.guard import Guard
     from jaxmpc.params import Params
     from jaxmpc.stability import Margins
 
@@ -18,6 +19,9 @@ STIFFNESSES = 33
 """Between the softest and the hardest tissue, log-spaced, besides the experiment's own."""
 GOLDEN_FROM, GOLDEN_SAMPLES = 2.0, 256
 """Start [s] and length [samples] of the golden trace: the ramp's end, with the heart already moving."""
+SWING_HZ, SWING = 40.0, 1.6
+"""Frequency [Hz], and RMS over the guard's limit [-], of what a guarded controller's golden force swings besides: a
+calm one would not tell what the guard does. At 40 Hz the answer takes half of the torque that joints are allowed."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -86,7 +90,8 @@ def freeze_controller(
         limits: A TOML file of limits that differ from the default ones.
 
     Raises:
-        InputError: The controller is unstable or below its floor, or a limit is wrong; nothing has been written.
+        InputError: The controller is unstable or below its floor, a limit is wrong, or it is guarded without an arm,
+            where nothing would guard it; nothing has been written.
     """
     from deploy.floor import check, plain_floor
     from deploy.freeze import freeze
@@ -101,6 +106,9 @@ def freeze_controller(
         raise InputError("--limits", limits, "given for an arm only", remedy)
     if ideal and on_arm:
         raise InputError("--ideal", experiment.name, "left out on the arm", "No arm has ideal damping.")
+    if params.guarded and not on_arm:
+        remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
+        raise InputError("guarded", params.guarded, "false where no arm is driven", remedy)
     arm = _believed(experiment, limits) if on_arm else None
     rows = _rows(params, experiment, ideal)
     check(rows, plain_floor(floor))  # before the long part
@@ -215,9 +223,20 @@ def _arm_trace(
     middle = len(experiment.stiffness) // 2
     (found,) = simulated_arm_runs(params, experiment, experiment.stiffness[middle : middle + 1])
     run = ArmRun(*(_cut(experiment, signal) for signal in found))
+    if gains.guard is not None:
+        run = run._replace(force=run.force + _swing(gains.guard, experiment.sampling_time, len(run.force)))
     answer = arm_law_trace(gains, float(params.K2), experiment, run)
     arm |= {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
     return run.force, run.force_ref, answer.v
+
+
+def _swing(guard: "Guard", T_s: float, samples: int) -> "np.ndarray":
+    """A swing beyond the guard's limit, the same on each axis, shape (samples, 1) [N]."""
+    import numpy as np
+
+    amplitude = SWING * np.sqrt(2.0 / 3.0 / float(guard.sensitivity))
+    wave: np.ndarray = amplitude * np.sin(2.0 * np.pi * SWING_HZ * T_s * np.arange(samples))[:, None]
+    return wave
 
 
 def _cut(experiment: "Experiment", signal: "np.ndarray") -> "np.ndarray":

@@ -103,7 +103,8 @@ def _through_jax(inputs: "Inputs", artifact: "Artifact") -> dict[str, "np.ndarra
     numbers = [np.nan_to_num(row) for row in (inputs.q, inputs.qd, wanted, inputs.applied, before)]
     q, qd, wanted, applied, before = numbers
     gains = artifact.gains if artifact.preview else constant_reference(artifact.gains)
-    flown = Flown(q, qd, inputs.force, wanted, applied, before, inputs.contact, inputs.enters, inputs.servo)
+    states = inputs.contact, inputs.enters, inputs.servo
+    flown = Flown(q, qd, inputs.force, wanted, applied, before, *states, inputs.gain)
     found = law_over(arm.chain, arm.nominal, arm.posture, gains, artifact.K2, arm.compensated, flown)
     return {name: np.where(inputs.contact[:, None], values, np.nan) for name, values in found.items()}
 

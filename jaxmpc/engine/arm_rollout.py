@@ -62,6 +62,8 @@ class ArmSample(NamedTuple):
     """Joint angles [rad]."""
     torque: Any
     """Torques sent [N m]."""
+    gain: Any = (1.0,)
+    """Share of the loop's gain that the guard leaves [-]; 1 without one."""
 
 
 class Trouble(NamedTuple):
@@ -105,7 +107,7 @@ def start(program: Program, cell: Cell) -> Carry:
     state = world.init(program.chain, program.kind, cell.robot, zero, ops)
     never = Trouble(zero + jnp.inf, zero + jnp.inf)
     resting = state.drive.angle if program.kind.compensated else None
-    controller = force_control.init(zero, cascade.order(cell.gains), resting)
+    controller = force_control.init(zero, cascade.order(cell.gains), resting, cell.gains.guard is not None)
     return Carry(controller, state, (zero, zero, zero), never)
 
 
@@ -133,6 +135,7 @@ def advance(program: Program, cell: Cell, carry: Carry, now: ArmSignals) -> tupl
     held, sent = drives.command(robot.drive, command.torque.torque, ops)
     controller = force_control.applied(controller, command, held)
     following = world.move(chain, kind, robot, state, sent, tuple(map(_heart, now.between)), program.accelerate, ops)
+    gain = 1.0 + 0.0 * cell.K2 if controller.guard is None else controller.guard.gain
     sample = ArmSample(
         force,
         now.force_ref,
@@ -143,6 +146,7 @@ def advance(program: Program, cell: Cell, carry: Carry, now: ArmSignals) -> tupl
         tip,
         state.q,
         sent,
+        (gain,),
     )
     largest = jnp.maximum(jnp.maximum(abs(force[0]), abs(force[1])), abs(force[2]))
     indented = now.heart[0, 2] - tip[2]

@@ -62,7 +62,9 @@ class Carry(NamedTuple):
 
 def scalars(gains: Gains, preview: bool) -> Gains:
     """Gains with every vector taken apart into scalars, as the law's inner loop wants them."""
-    apart = Gains(*(tuple(field) if jnp.ndim(field) == 1 else field for field in gains))
+    numbers = {name: value for name, value in gains._asdict().items() if name != "guard"}
+    vectors: dict[str, Any] = {name: tuple(value) for name, value in numbers.items() if jnp.ndim(value) == 1}
+    apart = gains._replace(**vectors)
     summed: Gains = apart if preview else apart._replace(mpc_ref=(jnp.sum(gains.mpc_ref),))
     return summed
 

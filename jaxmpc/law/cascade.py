@@ -20,6 +20,8 @@ Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from jaxmpc.law.guard import Guard
+
 Scalar = Any
 """A float, a traced JAX scalar, a batch of either, or a recorded operation."""
 Vector = Any
@@ -49,6 +51,8 @@ class Gains(NamedTuple):
     """MPC feedback of the estimated force [-] and force rate [s], shape (2,)."""
     mpc_u: Scalar
     """MPC feedback of the previous output [-]."""
+    guard: Guard | None = None
+    """What takes the gain back while the force swings; None takes none."""
 
 
 class ControllerState(NamedTuple):
@@ -119,6 +123,17 @@ def step(
         u = u + weight * wanted
     v = gains.input_gain * u - gains.L[0] * x_hat[0] - gains.L[1] * x_hat[1] - gains.L[2] * x_hat[2] - p_hat
     return ControllerState(x_hat, p_hat, u, v, trend), v
+
+
+def with_gain(gains: Gains, gain: Scalar) -> Gains:
+    """The same controller for a tissue of stiffness K̂_s/gain: what it commands is scaled, what it estimates is not."""
+    K_1, K_2, *K_v = (gains.K[i] for i in range(len(gains.K)))
+    return gains._replace(
+        gamma=tuple(each / gain for each in gains.gamma),
+        K=(K_1, K_2, *(gain * each for each in K_v)),
+        L=(gain * gains.L[0], gain * gains.L[1], gains.L[2]),
+        input_gain=gain * gains.input_gain,
+    )
 
 
 def constant_reference(gains: Gains) -> Gains:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from jaxmpc.law import cascade, compensation, computed_torque
+from jaxmpc.law import guard as guards
 from jaxmpc.law.cascade import ControllerState, Gains
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.compensation import Bristles
@@ -25,6 +26,8 @@ class State(NamedTuple):
     """Cascades of X, Y, Z."""
     bristles: Bristles | None
     """Of the friction that is cancelled; None cancels none."""
+    guard: guards.State | None = None
+    """Of what takes the gain back; None takes none."""
 
 
 class Command(NamedTuple):
@@ -38,16 +41,18 @@ class Command(NamedTuple):
     """Accelerations asked of the tip, v − K₂ẋ [m/s²]."""
 
 
-def init(force: Scalar = 0.0, order: int = 1, angle: Vector | None = None) -> State:
+def init(force: Scalar = 0.0, order: int = 1, angle: Vector | None = None, guarded: bool = False) -> State:
     """At rest.
 
     Args:
         force: Measured force on each axis [N].
         order: Disturbance order of the cascades.
         angle: Measured joint angles, 4 scalars [rad]; None cancels no friction.
+        guarded: Whether the gain is taken back while the force swings.
     """
     axis = cascade.init(force, order)
-    return State((axis, axis, axis), None if angle is None else compensation.init(angle))
+    guard = guards.init(0.0 * force) if guarded else None
+    return State((axis, axis, axis), None if angle is None else compensation.init(angle), guard)
 
 
 def step(
@@ -78,6 +83,10 @@ def step(
         force_ref: Wanted force per axis, as `cascade.step` takes it [N].
         ops: Scalar functions.
     """
+    guard = state.guard
+    if gains.guard is not None and guard is not None:
+        guard = guards.step(gains.guard, guard, sub(force, tuple(wanted[0] for wanted in force_ref)))
+        gains = cascade.with_gain(gains, guard.gain)
     stepped = [cascade.step(gains, *axis) for axis in zip(state.axes, force, force_ref, strict=True)]
     v = tuple(command for _, command in stepped)
     a = sub(v, scale(K2, computed_torque.tip_velocity(chain, q, qd, ops)))
@@ -86,7 +95,7 @@ def step(
         bristles, friction = compensation.step(nominal.friction, bristles, q, qd, ops)
     found = computed_torque.torque(chain, nominal, posture, q, qd, a, force, friction, ops)
     x, y, z = (following for following, _ in stepped)
-    return State((x, y, z), bristles), Command(found, v, a)
+    return State((x, y, z), bristles, guard), Command(found, v, a)
 
 
 def applied(state: State, command: Command, clamped: Vector) -> State:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxmpc.law import guard as guards
 from jaxmpc.law.cascade import Gains
 from jaxmpc.params import HP_MAX, HU_MAX, Params, Timing
 from jaxmpc.precision import in_float64
@@ -36,6 +37,8 @@ def design_one(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[Gains, 
     phi = jnp.stack([Phi[0, 1], Phi[1, 1]])
     zero, one = jnp.zeros_like(p.T_cl), jnp.ones_like(p.T_cl)
 
+    guard = guards.guard(jnp.asarray(T_s), jnp) if p.guarded else None
+
     if p.architecture == "mpc":
         delayed = jnp.block([[Phi, Gamma[:, None]], [jnp.zeros((1, 3))]])
         mpc_ref, mpc_x, mpc_u = first_move(delayed, jnp.stack([zero, zero, one]), lam, delta, p.Hp, p.Hu, mask_width)
@@ -46,10 +49,10 @@ def design_one(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[Gains, 
     if p.architecture == "aob":
         # u = F_d: the move cancels the previous output and takes the next reference as it is.
         mpc_ref = jnp.zeros(HP_MAX).at[0].set(1.0)
-        return Gains(phi, Gamma, K, L, L[0], mpc_ref, jnp.zeros(2), one), residual
+        return Gains(phi, Gamma, K, L, L[0], mpc_ref, jnp.zeros(2), one, guard), residual
     A, B = closed_loop_model(p.T_cl, T_s)
     mpc_ref, mpc_x, mpc_u = first_move(A, B, lam, delta, p.Hp, p.Hu, mask_width)
-    return Gains(phi, Gamma, K, L, L[0], mpc_ref, mpc_x, mpc_u), residual
+    return Gains(phi, Gamma, K, L, L[0], mpc_ref, mpc_x, mpc_u, guard), residual
 
 
 def over_batch(function: Any, batch_shape: tuple[int, ...]) -> Any:

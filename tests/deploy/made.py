@@ -14,6 +14,7 @@ from deploy.arm_model import ROBOT, ArmModel, published_tip
 from deploy.artifact import Artifact
 from deploy.limits import Limits
 from jaxmpc.law import cascade, force_control
+from jaxmpc.law import guard as guards
 from jaxmpc.law.chain import Chain, Link
 from jaxmpc.law.compensation import Believed
 from jaxmpc.law.computed_torque import Nominal
@@ -23,6 +24,9 @@ POSTURE = (0.0, 0.7, 0.0, 2.2)
 TOOL, TOOL_MASS, TOOL_INERTIA = 0.36, 0.3, (7e-5, 7e-5, 6e-5)
 """Tip beyond the elbow's axis [m]; mass there [kg] and its own inertia [kg m²]."""
 VELOCITY_CUTOFF = 180.0
+SWING_HZ, SWINGING = 40.0, 800
+SWING = 2.0 * guards.LIMIT * math.sqrt(2.0 / 3.0)
+"""Of each axis' force, where a guarded controller is to feel it, in the first samples: together twice its limit [N]."""
 
 MASS = (10.76768767, 3.87493756, 1.80228141, 1.06513649)
 CENTRE = (
@@ -69,6 +73,10 @@ def text_gains() -> cascade.Gains:
         mpc_x=(1.40035089, 0.00208595),
         mpc_u=0.58276126,
     )
+
+
+def guarded_gains() -> cascade.Gains:
+    return text_gains()._replace(guard=guards.guard(T_S, math))
 
 
 def margin_row(stiffness: float, **changes: Any) -> dict[str, Any]:
@@ -124,8 +132,13 @@ def nominal(compensated: bool) -> Nominal:
     return Nominal(0.9, 0.05, Believed(tuple(share * F for F in coulomb), tuple(share * D for D in viscous), 1e-3))
 
 
-def recorded_inputs(n: int, seed: int = 1, width: int = 1) -> tuple[list[Any], list[Any], list[Any]]:
-    """Angles that sway about the posture, a force that follows a heart, the wanted force: per sample."""
+def recorded_inputs(
+    n: int, seed: int = 1, width: int = 1, swing: float = 0.0
+) -> tuple[list[Any], list[Any], list[Any]]:
+    """Angles that sway about the posture, a force that follows a heart, the wanted force: per sample.
+
+    The force may begin with a swing of that amplitude [N].
+    """
     draw = random.Random(seed)
     phases = [draw.uniform(0.0, 2.0 * math.pi) for _ in range(7)]
 
@@ -135,6 +148,8 @@ def recorded_inputs(n: int, seed: int = 1, width: int = 1) -> tuple[list[Any], l
     q = [[a + 0.01 * sway(k, i, 1.0 + i) for i, a in enumerate(POSTURE)] for k in range(n)]
     rest = (0.0, 0.0, -5.0)
     force = [[draw.gauss(F, 0.002) + 0.02 * sway(k, 4 + i, 1.2 + i) for i, F in enumerate(rest)] for k in range(n)]
+    for k in range(min(n, SWINGING)):
+        force[k] = [F + swing * math.sin(2.0 * math.pi * SWING_HZ * k * T_S) for F in force[k]]
     wanted = [
         [[F + 0.02 * sway(k + 1 + j, 4 + i, 1.2 + i) for j in range(width)] for i, F in enumerate(rest)]
         for k in range(n)
@@ -153,7 +168,8 @@ def tick_by_tick(
     q, qd = inputs[0][0], (0.0,) * 4
     state = force_control.init(0.0, cascade.order(gains), tuple(q) if arm["compensated"] else None)
     axes: Any = tuple(cascade.init(each, cascade.order(gains)) for each in inputs[1][0])
-    state = state._replace(axes=axes)
+    guard = None if gains.guard is None else guards.init()
+    state = state._replace(axes=axes, guard=guard)
     v, torques, passed = [], [], []
     for now, force, wanted in zip(*inputs, strict=True):
         raw = [(1.0 / T_S) * (new - old) for new, old in zip(now, q, strict=True)]
@@ -187,7 +203,7 @@ def arm_arguments(n: int = 40, preview: bool = False, compensated: bool = False,
     }
     arm |= changes
     width = len(gains.mpc_ref) if preview else 1
-    inputs = recorded_inputs(n, width=width)
+    inputs = recorded_inputs(n, width=width, swing=SWING if gains.guard else 0.0)
     law = gains if preview else cascade.constant_reference(gains)
     v, torque, applied = tick_by_tick(law, arm, inputs)
     wanted = np.array(inputs[2])

@@ -9,6 +9,7 @@ from deploy.artifact import ArtifactError, from_bytes, load, to_bytes
 from deploy.freeze import freeze
 from deploy.limits import HIGHEST, Limits
 from jaxmpc.errors import InputError
+from jaxmpc.law.guard import Guard
 from jaxmpc.sealed import seal, unseal
 from tests.deploy import made
 
@@ -40,14 +41,18 @@ def refused(opened, message, path=None, value=None, **arrays):
         from_bytes(seal(header, {k: v for k, v in (held | arrays).items() if v is not None}))
 
 
+@pytest.mark.parametrize("gains", [made.text_gains(), made.guarded_gains()], ids=["text", "guarded"])
 @pytest.mark.parametrize("preview", [False, True])
 @pytest.mark.parametrize("compensated", [False, True])
-def test_round_trip(preview, compensated):
-    artifact = made.arm_artifact(6, preview, compensated)
+def test_round_trip(preview, compensated, gains):
+    artifact = made.arm_artifact(6, preview, compensated, gains=gains)
     content = to_bytes(artifact)
     again = from_bytes(content)
     assert to_bytes(again) == content
     assert again.kind == "wam"
+    assert again.gains == artifact.gains == gains
+    # Files of controllers without a guard are those of before there was one.
+    assert ("guard" in unseal(content)[0]["gains"]) == (gains.guard is not None)
     for name in ("chain", "nominal", "compensated", "posture", "limits", "robot", "tool_length", "encoder_counts"):
         assert getattr(again.arm, name) == getattr(artifact.arm, name)
     assert all(type(x) is float for x in (*again.arm.posture, *again.arm.chain.tip, again.arm.chain.links[3].mass))
@@ -145,6 +150,49 @@ def test_a_model_without_a_table_is_refused(opened):
 )
 def test_each_wrong_entry_has_its_sentence(opened, path, value, message):
     refused(opened, message, path, value)
+
+
+@pytest.fixture(scope="module")
+def guarded():
+    """Header and arrays of a controller whose force swings."""
+    return unseal(to_bytes(made.arm_artifact(150, gains=made.guarded_gains())))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("", [0.9], r"guard = \[0.9\]: must be a table of corner, forgetting, sensitivity, pace, recovery"),
+        (".pace", ..., "guard.pace = missing: must be given"),
+        (".gain", 1.0, "guard.gain = 1.0: must be a known key"),
+        (".corner", 1.0, r"guard.corner = 1.0: must be in \[0, 1\)"),
+        (".forgetting", -1e-3, r"guard.forgetting = -0.001: must be in \[0, 1\)"),
+        (".pace", 1.5, r"guard.pace = 1.5: must be in \[0, 1\)"),
+        (".recovery", None, "guard.recovery = an array of object: must be an array of numbers"),
+        (".recovery", [0.0], r"guard.recovery = an array of shape \(1,\)"),
+        (".sensitivity", 0.0, "guard.sensitivity = 0.0: must be positive"),
+        (".sensitivity", "1e999", "guard.sensitivity = an array of <U"),
+        ("", None, "deviation from the golden trace"),
+    ],
+)
+def test_a_wrong_guard_is_refused(guarded, path, value, message):
+    refused(guarded, message, f"gains.guard{path}", value)
+
+
+@pytest.mark.parametrize("name", Guard._fields)
+def test_every_constant_of_the_guard_is_held_by_the_trace(guarded, name):
+    value = guarded[0]["gains"]["guard"][name] * 1.001
+    refused(guarded, "deviation from the golden t", f"gains.guard.{name}", value)
+
+
+def test_a_guard_of_nothing_is_none(opened):
+    header, arrays = opened
+    assert from_bytes(seal(replaced(header, "gains.guard", None), arrays)).gains.guard is None
+
+
+def test_the_cascades_alone_have_no_guard(tmp_path, arguments):
+    guarded = arguments | {"gains": made.guarded_gains()}
+    with pytest.raises(InputError, match="guard = given: must be left out where no arm is driven"):
+        freeze(tmp_path / "c.npz", **guarded)
 
 
 @pytest.mark.parametrize("name", arm_model.GOLDEN)

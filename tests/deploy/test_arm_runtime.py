@@ -38,11 +38,14 @@ def begun(runtime, inputs):
     return inputs[10]
 
 
-@pytest.mark.parametrize("more", [(), (1e-2, 1e-4)])
+@pytest.mark.parametrize(
+    ("gains", "more"),
+    [(made.text_gains(), ()), (made.text_gains(), (1e-2, 1e-4)), (made.guarded_gains(), ())],
+    ids=["text", "third order", "guarded"],
+)
 @pytest.mark.parametrize("compensated", [False, True])
 @pytest.mark.parametrize("preview", [False, True])
-def test_the_recorded_tick_is_the_law_on_floats_to_the_last_bit(preview, compensated, more):
-    gains = made.text_gains()
+def test_the_recorded_tick_is_the_law_on_floats_to_the_last_bit(preview, compensated, gains, more):
     artifact = made.arm_artifact(300, preview, compensated, gains=gains._replace(K=(*gains.K, *more)))
     assert replay(artifact) == (0.0, 0.0)
     assert np.abs(artifact.arm.golden_applied - artifact.arm.golden_torque).max() > 0.1
@@ -197,6 +200,34 @@ def begun_state(artifact, inputs):
     return state
 
 
+def test_the_guard_takes_the_gain_back_until_contact_is_made_anew():
+    artifact = made.arm_artifact(300, gains=made.guarded_gains())
+    runtime = ArmRuntime(artifact)
+    arrays = (artifact.arm.golden_q, artifact.golden_force, artifact.golden_force_ref)
+    inputs = list(zip(*(array.tolist() for array in arrays), strict=True))
+
+    def swung():
+        runtime.enter(inputs[0][1], inputs[0][0])
+        assert runtime.gain == 1.0
+        torques = [runtime.control(q, runtime.velocity(q), force, wanted) for q, force, wanted in inputs]
+        assert runtime.gain < 0.5
+        return torques
+
+    runtime.start(inputs[0][0])
+    assert runtime.gain == 1.0
+    first = swung()
+    # The tissue is taken for one that is stiffer by 1/g, on which an acceleration moves the force by that much more.
+    gains, (y, ydot, delayed) = artifact.gains, runtime._axes[0][0]
+    assert runtime.prediction[0] == pytest.approx(
+        y + gains.phi[0] * ydot + gains.gamma[0] / runtime.gain * delayed, rel=1e-15
+    )
+    gain = runtime.gain
+    runtime.servo(Q, QD, (0.0,) * 3, FORCE)
+    assert runtime.gain == gain
+    runtime.start(inputs[0][0])
+    assert swung() == first
+
+
 def test_everything_that_comes_out_is_a_plain_float(runtime, inputs):
     q, force, wanted = begun(runtime, [tuple(map(np.array, row)) for row in inputs])
     q, force, wanted = q.tolist(), force.tolist(), wanted.tolist()
@@ -209,7 +240,7 @@ def test_everything_that_comes_out_is_a_plain_float(runtime, inputs):
         *runtime.last_a,
         *runtime.last_force,
     ]
-    out += [*runtime.p_hat, *runtime.u, *runtime.gravity(q), *runtime.tip(q)]
+    out += [*runtime.p_hat, *runtime.u, runtime.gain, *runtime.gravity(q), *runtime.tip(q)]
     assert {type(each) for each in out} == {float}
 
 

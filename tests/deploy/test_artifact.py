@@ -11,6 +11,7 @@ import pytest
 from deploy import artifact as module
 from deploy.artifact import ArtifactError, from_bytes, load, to_bytes
 from deploy.freeze import freeze
+from deploy.gains import SHAPES
 from jaxmpc.sealed import LARGEST, canonical_json, seal, unseal
 
 
@@ -130,7 +131,7 @@ def test_each_wrong_array_has_its_sentence(data, name):
             from_bytes(seal(header, wrong))
 
 
-@pytest.mark.parametrize("name", module.GAIN_SHAPES)
+@pytest.mark.parametrize("name", SHAPES)
 def test_each_wrong_gain_has_its_sentence(data, name):
     header, arrays = unseal(data)
     good, gains = header["gains"][name], header["gains"]

@@ -5,6 +5,7 @@ import pytest
 from deploy.artifact import to_bytes
 from deploy.freeze import freeze
 from jaxmpc.cli import main
+from tests.deploy import made
 
 
 def test_good_artifact(arguments, tmp_path, capsys):
@@ -24,12 +25,21 @@ def test_good_artifact_of_an_arm(arm_artifact, tmp_path, capsys):
     path.write_bytes(to_bytes(arm_artifact))
     assert main(["check", str(path)]) == 0
     out = capsys.readouterr().out
+    assert "gain        not guarded" in out
     for words in ("kind        wam, runs", "Barrett WAM 4-DoF", "0.36 m", "× 0.9", "40 samples replayed", "1e-09 N m"):
         assert words in out
     for name in arm_artifact.arm.limits.plain():
         assert f"  {name} " in out
     assert f"force{15:>19} N" in out
     assert "tick of the arm" in out
+
+
+def test_good_artifact_with_a_guard(tmp_path, capsys):
+    path, gains = tmp_path / "controller.npz", made.guarded_gains()
+    path.write_bytes(to_bytes(made.arm_artifact(6, gains=gains)))
+    assert main(["check", str(path)]) == 0
+    limit = f"{gains.guard.sensitivity**-0.5:.3g} N (RMS)"
+    assert f"gain        guarded: falls while the force swings by more than {limit}" in capsys.readouterr().out
 
 
 def test_refused_artifact(arguments, tmp_path, capsys):

@@ -6,6 +6,7 @@ import pytest
 from deploy.arm_model import ROBOT
 from deploy.artifact import load, to_bytes
 from deploy.freeze import freeze
+from deploy.gains import SHAPES
 from jaxmpc.errors import InputError
 from jaxmpc.sealed import seal
 from tests.deploy import made
@@ -21,7 +22,8 @@ def test_frozen_file_is_what_load_returns(arguments, tmp_path):
 def test_same_input_gives_the_same_bytes(arguments, tmp_path):
     freeze(tmp_path / "a.npz", **arguments)
     arguments["params"] = dict(reversed(arguments["params"].items()))
-    arguments["gains"] = type(arguments["gains"])(*map(np.array, arguments["gains"]))
+    gains = arguments["gains"]
+    arguments["gains"] = gains._replace(**{name: np.array(getattr(gains, name)) for name in SHAPES})
     freeze(tmp_path / "b.npz", **arguments)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 

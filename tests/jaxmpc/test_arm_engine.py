@@ -13,6 +13,7 @@ from benchmarks.mujoco_loop import PAPER, PAPER_RMS, Loop
 from jaxmpc import Experiment, Params, Status, design, evaluate
 from jaxmpc.engine.rollout import scalars
 from jaxmpc.evaluation import _ran
+from jaxmpc.law import guard as guards
 from jaxmpc.law.cascade import Gains
 from jaxmpc.scene import Scene, World, run_cells, scene_of, world_of
 from jaxmpc.world.motion import displacement
@@ -75,12 +76,13 @@ def check_parity(experiment: Experiment) -> None:
             nominal_coulomb=arm.coulomb,
             nominal_damping=arm.viscous,
         )
-        numpys = mujoco_loop.Gains(**{name: np.asarray(x) for name, x in gains._asdict().items()}, K2=10.0)
+        numpys = mujoco_loop.Gains.of(gains, 10.0)
         signals = experiment.signals
         wanted = mujoco_loop.run(loop, numpys, heart, velocity, signals.noise, signals.force_ref)
         assert np.ptp(wanted.force[:, 2]) > 5.0
         np.testing.assert_allclose(np.asarray(found.force)[0, row].T, wanted.force, rtol=0, atol=1e-8)
         np.testing.assert_allclose(np.asarray(found.q)[0, row].T, wanted.q, rtol=0, atol=1e-9)
+        assert (np.asarray(found.gain)[0, row] == 1.0).all()
 
 
 @pytest.mark.parametrize(
@@ -96,6 +98,26 @@ def test_five_seconds_are_those_of_the_mujoco_loop(experiment: Experiment) -> No
 @pytest.mark.parametrize("sensor", [{}, NO_COUNTS], ids=["counts", "fine"])
 def test_five_seconds_on_stock_mjx_are_those_of_the_mujoco_loop(sensor: dict[str, Any]) -> None:
     check_parity(changed(EULER, physics="mjx", arm={"integrator": "leapfrog"}, sensor=sensor))
+
+
+def test_a_run_tells_the_gain_that_its_guard_leaves() -> None:
+    """That of the guard alone over the force of the run, in numpy; far too stiff a tissue makes the loop swing."""
+    experiment = changed(TABLE, duration=5.5, settle=5.0, stiffness=(810.0, 4000.0))
+    gains = design(Params(guarded=True))
+    batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scalars(gains, False))
+    found = cells(world_of(experiment), batch, np.array([10.0]), scene_of(experiment), True).trace
+    error = np.asarray(found.force)[0] - np.asarray(found.force_ref)[0, ..., 0]
+    gain = np.asarray(found.gain)[0, :, 0]
+    assert gain[0].min() > 0.99
+    assert gain[1].min() < 0.5
+    guard = jax.tree.map(float, gains.guard)
+    for errors, told in zip(error, gain, strict=True):
+        state, expected = guards.init(), []
+        for sample in errors.T.tolist():
+            state = guards.step(guard, state, sample)
+            expected.append(state.gain)
+        # Both add up the same terms, which XLA may fuse: some 1e-16 a step.
+        np.testing.assert_allclose(told, expected, rtol=0, atol=1e-11)
 
 
 # Through the public function.

@@ -29,8 +29,7 @@ def params_of(order: int) -> Params:
 
 def plain(gains: Gains) -> Gains:
     """The law on Python floats, for a reference held constant."""
-    fields = (np.asarray(field).tolist() for field in gains)
-    return cascade.constant_reference(Gains(*(tuple(f) if isinstance(f, list) else f for f in fields)))
+    return cascade.constant_reference(jax.tree.map(lambda field: np.asarray(field).tolist(), gains))
 
 
 def delayed_plant(params: Params) -> tuple[np.ndarray, np.ndarray]:

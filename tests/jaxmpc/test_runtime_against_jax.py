@@ -37,7 +37,7 @@ def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architectu
     n, ahead = 10_000, (64,) if preview else ()
     force, force_ref = draw.normal(-5.0, 1.0, (n, 3)), draw.normal(-5.0, 1.0, (n, 3, *ahead))
     v = jax_trace(gains, force, force_ref)
-    arrays = cascade.Gains(*map(np.asarray, gains))
+    arrays = jax.tree.map(np.asarray, gains)
     floor, params = {"M_s": 2.0}, {"architecture": architecture}
     artifact = Artifact(arrays, 1e-3, 10.0, preview, params, [ROW], floor, {}, force, force_ref, v)
     deviation = replay(artifact)
@@ -49,7 +49,7 @@ def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architectu
 
 
 def test_another_law_would_be_seen():
-    gains = cascade.Gains(*map(np.asarray, design(Params.published("text"))))
+    gains = jax.tree.map(np.asarray, design(Params.published("text")))
     other = gains._replace(mpc_u=gains.mpc_u + 1e-8)
     force = np.random.default_rng(5).normal(-5.0, 1.0, (50, 3))
     v = jax_trace(gains, force, force)

@@ -88,7 +88,7 @@ def test_it_is_the_slope_of_one_sample() -> None:
     smooth = experiment(2, coulomb=(0.0,) * 4, encoder_counts=0, torque_lsb=0.0, **swinging)
     smooth = msgspec.structs.replace(smooth, sensor=msgspec.structs.replace(smooth.sensor, lsb=(0.0,) * 3))
     kind, robot = world_of(smooth)
-    gains = Gains(*map(np.asarray, cascade.constant_reference(design(Params()))))
+    gains = jax.tree.map(np.asarray, cascade.constant_reference(design(Params())))
     rest, structure = at_rest(chain(), kind, robot)
     n, step = len(rest), 1e-5
     shifted = rest[:, None] + step * np.hstack([np.eye(n), -np.eye(n)])

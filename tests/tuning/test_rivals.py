@@ -27,7 +27,8 @@ CONTROLLER = pi.Pi(K_p=0.8, T_i=0.05, K2=40.0)
 
 @pytest.fixture(scope="module")
 def gains() -> cascade.Gains:
-    return cascade.Gains(*map(np.asarray, pi.gains(CONTROLLER, T_s)))
+    found: cascade.Gains = jax.tree.map(np.asarray, pi.gains(CONTROLLER, T_s))
+    return found
 
 
 def by_hand(wanted: np.ndarray, forces: np.ndarray) -> np.ndarray:

@@ -65,6 +65,12 @@ def test_horizons_are_rounded_at_width_one_only_and_stay_ordered() -> None:
     assert (float(hard.Hp), float(hard.Hu)) == (4.0, 4.0)
 
 
+def test_a_guard_is_left_out_while_tuning_and_comes_back_with_the_result() -> None:
+    space = Space(Params(guarded=True), [axis_of("Khat_s", None, False)])
+    z = space.encode(space.base)
+    assert (space.decode(jnp.asarray(z), 1.0).guarded, space.exact(z).guarded) == (False, True)
+
+
 def test_diagonals_have_one_number_per_entry() -> None:
     lam = np.geomspace(0.01, 1.0, HU_MAX)
     params = Params(lam=lam)

@@ -1,5 +1,6 @@
 """The recorded tick against the JAX law on what a simulated arm reads; and the arm made of plain numbers."""
 
+import jax
 import msgspec
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from deploy.artifact import Artifact, load
 from deploy.limits import Limits
 from jaxmpc import Experiment, Params, design
 from jaxmpc.cli.freeze import _believed, freeze_controller
-from jaxmpc.golden import arm_law_trace, simulated_arm_runs
-from jaxmpc.law import cascade
+from jaxmpc.errors import InputError
+from jaxmpc.golden import ArmRun, arm_law_trace, simulated_arm_runs
+from jaxmpc.law import guard as guards
 from jaxmpc.world import drive as drives
 from jaxmpc.world.arm import chain, tip_at
 from jaxmpc.world.reference import Ramp
@@ -39,7 +41,7 @@ def artifact_of(experiment, gains, run, answer):
     """The controller with this run as its golden trace, so that `replay` runs all of it."""
     golden = {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
     model = ArmModel.from_plain(_believed(experiment, None), golden)
-    gains = cascade.Gains(*map(np.asarray, gains))
+    gains = jax.tree.map(np.asarray, gains)
     rows, floor = [made.margin_row(810.0)], {"M_s": 2.0}
     preview = experiment.reference.preview
     return Artifact(gains, 1e-3, 10.0, preview, {}, rows, floor, {}, run.force, run.force_ref, answer.v, model)
@@ -77,6 +79,16 @@ def test_with_friction_compensation_preview_and_higher_order():
     # Of second order it is barely stable on the softest and the hardest tissue.
     found = deviations(experiment, Params(disturbance_order=2), STIFFNESS[1:4])
     assert max(torque for _, torque in found) <= TOLERANCE
+
+
+def test_a_guarded_controller_whose_force_swings():
+    gains = design(Params(guarded=True))
+    q, force, wanted = map(np.array, made.recorded_inputs(1000, swing=made.SWING))
+    run = ArmRun(q, force, wanted[..., 0])
+    answer = arm_law_trace(gains, 10.0, TABLE, run)
+    assert max(replay(artifact_of(TABLE, gains, run, answer))) <= TOLERANCE
+    # The guard acts in it: without, the commands are others.
+    assert replay(artifact_of(TABLE, gains._replace(guard=None), run, answer))[0] > 0.1
 
 
 @pytest.mark.slow
@@ -121,3 +133,18 @@ def test_freezing_from_parameters_to_a_file_that_runs(frozen):
     assert again.arm.chain == artifact.arm.chain == chain()
     assert len(again.arm.golden_q) == 256
     assert not any(row["ideal"] for row in again.margins)
+
+
+@pytest.mark.slow
+def test_a_guarded_controller_is_frozen_with_a_force_that_swings(tmp_path):
+    artifact = freeze_controller(tmp_path / "c.npz", Params(guarded=True), SHORT, {"M_s": 5.0}, ideal=False)
+    guard = guards.init()
+    for error in (artifact.golden_force - artifact.golden_force_ref).tolist():
+        guard = guards.step(artifact.gains.guard, guard, tuple(error))
+    assert guard.gain < 0.5
+
+
+def test_a_guarded_controller_is_not_frozen_without_an_arm(tmp_path):
+    guarded, table = Params(guarded=True), Experiment.published("table-1")
+    with pytest.raises(InputError, match="guarded = True: must be false where no arm is driven"):
+        freeze_controller(tmp_path / "c.npz", guarded, table, {"M_s": 5.0}, ideal=False)

@@ -26,7 +26,8 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
     `change(k, runtime)` may meddle with the controller at a sample.
     """
     runtime, recorder = ArmRuntime(artifact), FlightRecorder(seconds=seconds)
-    q_all, force_all, wanted_all = made.recorded_inputs(samples, width=64 if artifact.preview else 1)
+    swing = made.SWING if artifact.gains.guard else 0.0
+    q_all, force_all, wanted_all = made.recorded_inputs(samples, width=64 if artifact.preview else 1, swing=swing)
     runtime.start(tuple(q_all[0]))
     for k in range(samples):
         q, force = tuple(q_all[k]), tuple(force_all[k])
@@ -47,7 +48,7 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
             state, given = APPROACH if k < contact[0] else RETRACT, force
             wanted = applied = runtime.servo(q, qd, (0.1, 0.0, -0.2), force)
         row = (1e-3 * k, *(given or NAN), *first, *runtime.u, *runtime.last_v, *runtime.last_a, *runtime.p_hat)
-        row += (*runtime.tip(q), *q, *applied, *qd, *wanted, *applied, state, 0, 0, *(0,) * 4, *(0,) * 4, 0, 0, 0)
+        row += (runtime.gain, *runtime.tip(q), *q, *applied, *qd, *wanted, *applied, state, *(0,) * 13)
         recorder.append(row)
     return recorder
 
@@ -65,9 +66,10 @@ def flight(tmp_path_factory):
     return flown(tmp_path_factory.mktemp("plain"))
 
 
-@pytest.fixture(scope="module", params=["preview", "compensated"])
+@pytest.fixture(scope="module", params=["preview", "compensated", "guarded"])
 def other_flight(request, tmp_path_factory):
-    return flown(tmp_path_factory.mktemp(request.param), **{request.param: True})
+    options = {"gains": made.guarded_gains()} if request.param == "guarded" else {request.param: True}
+    return flown(tmp_path_factory.mktemp(request.param), **options)
 
 
 def write(path, controller, recorder, **header):
@@ -87,6 +89,9 @@ def test_a_flight_is_replayed_by_the_runtime_to_the_last_bit(other_flight):
     inputs = inputs_of(recording, artifact, recording.header["artifact"])
     rows = {row.signal: row for row in compare(recording, inputs, through_runtime(inputs, artifact))}
     assert {row.largest for row in rows.values()} == {0.0}
+    gain = recording.signals["gain"][inputs.contact, 0]
+    assert (gain.min() < 0.5) == (artifact.gains.guard is not None)
+    assert rows["gain"].samples == rows["v"].samples
     known = 1000 - (63 if artifact.preview else 0)  # the last wanted forces lie beyond the contact
     assert rows["v"].samples == known
     assert rows["wanted"].samples == known + 500
@@ -104,9 +109,10 @@ def test_both_programs_agree_with_the_flight(other_flight, capsys):
 
 
 @pytest.mark.slow
-def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys):
+@pytest.mark.parametrize("gains", [made.text_gains(), made.guarded_gains()], ids=["text", "guarded"])
+def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys, gains):
     controller = tmp_path / "controller.npz"
-    controller.write_bytes(to_bytes(made.arm_artifact()))
+    controller.write_bytes(to_bytes(made.arm_artifact(gains=gains)))
     write(tmp_path / "flight.npz", controller, fly(load(controller), 3500, contact=(100, 3500), seconds=2.5))
     recording = read(tmp_path / "flight.npz")
     assert recording.signals["time"][0, 0] == 1.0
