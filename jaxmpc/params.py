@@ -131,7 +131,7 @@ class Params(eqx.Module):
     The same bandwidth needs a lower Q_p the higher N is."""
 
     guarded: bool = eqx.field(static=True, default=False)
-    """Whether the gain is taken back while the force swings faster than a heart can (`jaxmpc.law.guard`)."""
+    """Whether the gain falls while the force swings faster than a heart can (`jaxmpc.law.guard`); on the arm alone."""
 
     def __check_init__(self) -> None:
         if self.architecture not in get_args(Architecture):

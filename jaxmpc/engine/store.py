@@ -40,6 +40,9 @@ def keep_in(folder: Path | None) -> None:
     """Keep traced programs in a folder, or nowhere: for entry points alone, a library keeps none unless told."""
     global _folder
     _folder = folder
+    if folder is not None:
+        # Now: a source that changes while the process runs is not the one that it has imported.
+        _source("jaxmpc")
 
 
 def name_of(function: Callable[..., Any], arguments: dict[str, Any], static: dict[str, Any]) -> str | None:
