@@ -1,6 +1,7 @@
 """The command line: one verb a module, loaded only when it is used."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -28,7 +29,7 @@ _WORKSTATION = ("jax", "equinox", "optax", "msgspec", "mujoco", "tomli_w", "rich
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb; exit code 0: done, 1: the job failed, 2: wrong input, 130: interrupted."""
+    """Run one verb; exit code 0: done, 1: the job failed, 2: wrong input, 130: interrupted, 141: nobody reads."""
     argv = list(sys.argv[1:] if argv is None else argv)
     parser = argparse.ArgumentParser(
         prog="jaxmpc",
@@ -45,7 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             module.configure(subparser)
     args = parser.parse_args(argv)
     try:
-        return int(module.run(args))
+        code = int(module.run(args))
+        sys.stdout.flush()
+        return code
     except InputError as error:
         print(f"jaxmpc {args.verb}: {error}", file=sys.stderr)
         return 2
@@ -57,6 +60,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"\njaxmpc {args.verb}: interrupted", file=sys.stderr)
         return 130
+    except BrokenPipeError:
+        try:
+            sys.stdout.flush()
+        except BrokenPipeError:
+            # Who reads has had enough, as `head` has; what Python still wants to flush at its end goes nowhere.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 141
+        raise
 
 
 def _version() -> str:

@@ -1,4 +1,7 @@
 import hashlib
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -40,6 +43,18 @@ def test_good_artifact_with_a_guard(tmp_path, capsys):
     assert main(["check", str(path)]) == 0
     limit = f"{gains.guard.sensitivity**-0.5:.3g} N (RMS)"
     assert f"gain        guarded: falls while the force swings by more than {limit}" in capsys.readouterr().out
+
+
+def test_a_reader_who_has_had_enough_is_no_failure(arguments, tmp_path):
+    path = tmp_path / "controller.npz"
+    freeze(path, **arguments)
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        found = subprocess.run([sys.executable, "-m", "jaxmpc", "check", path], stdout=write, stderr=subprocess.PIPE)
+    finally:
+        os.close(write)
+    assert (found.returncode, found.stderr) == (141, b"")
 
 
 def test_refused_artifact(arguments, tmp_path, capsys):
