@@ -40,10 +40,10 @@ from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import Contact, hertz
 from jaxmpc.world.robot import Robot
 from tuning import TuneSpec
-from tuning.designed import Data, Designed, Kind
-from tuning.problem import problem_of, training
-from tuning.state import FEASIBLE
-from tuning.transforms import Space
+from tuning.objective.designed import Data, Designed, Kind
+from tuning.objective.problem import problem_of, training
+from tuning.objective.transforms import Space
+from tuning.search.state import FEASIBLE
 from tuning.trials import HARD, Job
 
 STEP = 0.1

@@ -17,8 +17,8 @@ import numpy as np
 
 from jaxmpc.cli.setup import use_all_cores
 from tuning import TuneSpec
-from tuning.objective import look
-from tuning.problem import Problem, problem_of, training
+from tuning.objective.loss import look
+from tuning.objective.problem import Problem, problem_of, training
 
 STARTS, RUNS = 16, 3
 

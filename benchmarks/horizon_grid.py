@@ -16,10 +16,10 @@ from jaxmpc.cli.setup import use_all_cores
 from jaxmpc.params import HP_MAX, HU_MAX
 from jaxmpc.precision import in_float64
 from tuning import TuneSpec
-from tuning.optimise import optimiser
-from tuning.problem import Problem, problem_of, training
-from tuning.state import FEASIBLE
-from tuning.transforms import HORIZONS
+from tuning.objective.problem import Problem, problem_of, training
+from tuning.objective.transforms import HORIZONS
+from tuning.search.optimise import optimiser
+from tuning.search.state import FEASIBLE
 
 AROUND_HP, AROUND_HU = 4, 3
 RATE = 0.03

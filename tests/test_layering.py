@@ -138,7 +138,7 @@ def test_source_keeps_to_its_layer(path: str) -> None:
         ("jaxmpc/evaluation.py", "import sweeps.run"),
         ("sweeps/run.py", "import tuning"),
         ("sweeps/run.py", "from jaxmpc.cli import main"),
-        ("tuning/optimise.py", "from deploy.runtime import Runtime"),
+        ("tuning/search/optimise.py", "from deploy.runtime import Runtime"),
         ("sweeps/store.py", "import pickle"),
         ("sweeps/store.py", "from yaml import safe_load"),
         ("sweeps/store.py", "subprocess.run('ls', shell=True)"),

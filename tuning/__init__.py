@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from jaxmpc.precision import in_float64
-from tuning.figures import before_after_figure, history_figure
-from tuning.files import write
-from tuning.front import Front, pareto
-from tuning.ladder import climb
-from tuning.report import report
+from tuning.reports.figures import before_after_figure, history_figure
+from tuning.reports.files import write
+from tuning.reports.text import report
 from tuning.result import TuneResult, judge
 from tuning.risk import Risk
 from tuning.scenarios import Scenarios
+from tuning.search.front import Front, pareto
+from tuning.search.ladder import climb
 from tuning.settings import Settings
 from tuning.spec import TuneSpec
 

@@ -11,12 +11,12 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.params import Params
 from jaxmpc.stability import Margins
 from tuning.goals import UNITS, standing
-from tuning.heldout import versus
-from tuning.ladder import Climb, Step
+from tuning.proof.heldout import versus
 from tuning.scenarios import scenarios
+from tuning.search.ladder import Climb, Step
+from tuning.search.state import FEASIBLE, State
+from tuning.search.worst_case import standing_of
 from tuning.spec import TuneSpec
-from tuning.state import FEASIBLE, State
-from tuning.worst_case import standing_of
 
 KINDS = {"as run": False, "ideal": True}
 """Names of the two kinds of margins, and whether the damping is ideal."""

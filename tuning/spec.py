@@ -17,10 +17,10 @@ from jaxmpc.params import BOUNDS, DIAGONALS, Params
 from jaxmpc.sealed import digest
 from jaxmpc.spec import convert, known_keys, located, read_toml
 from tuning.goals import MARGINS, MEASURED, UNITS
+from tuning.objective.transforms import FREE, HORIZONS, Space, axis_of
 from tuning.risk import Risk
 from tuning.scenarios import Scenarios
 from tuning.settings import Level, Settings
-from tuning.transforms import FREE, HORIZONS, Space, axis_of
 
 Bounds = tuple[float, float]
 SOFT = {"rms": 0.05}

@@ -15,7 +15,7 @@ from benchmarks.rivals.room import vectors
 from benchmarks.sweep_throughput import machine
 from jaxmpc.errors import InputError
 from jaxmpc.sealed import write_atomic
-from tuning.problem import problem_of, training
+from tuning.objective.problem import problem_of, training
 from tuning.spec import TuneSpec
 
 REPEATS = 7

@@ -9,9 +9,9 @@ import numpy as np
 
 from benchmarks.rivals.objective import LOST
 from benchmarks.rivals.record import Clock, Run, Spent
-from tuning.ladder import climb
-from tuning.objective import Values
-from tuning.problem import Problem
+from tuning.objective.loss import Values
+from tuning.objective.problem import Problem
+from tuning.search.ladder import climb
 from tuning.spec import TuneSpec
 
 

@@ -18,10 +18,10 @@ from benchmarks.rivals import pi
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.world.contact import Contact
-from tuning.designed import Data, Designed, Kind, designed, judged_contact
-from tuning.objective import judge
-from tuning.problem import Problem
-from tuning.transforms import Space
+from tuning.objective.designed import Data, Designed, Kind, designed, judged_contact
+from tuning.objective.loss import judge
+from tuning.objective.problem import Problem
+from tuning.objective.transforms import Space
 
 BATCH = 16
 """Controllers at a time: fewer take as long, more are no faster each (measured)."""

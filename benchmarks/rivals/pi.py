@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from jaxmpc.experiment import Experiment
 from jaxmpc.law.cascade import Gains
 from jaxmpc.params import HP_MAX
-from tuning.transforms import Axis
+from tuning.objective.transforms import Axis
 
 
 class Pi(NamedTuple):

@@ -9,8 +9,8 @@ from benchmarks.rivals.costs import Costs
 from benchmarks.rivals.record import Run, Spent
 from benchmarks.rivals.runs import COARSE, GRADIENT, PI, TEXTBOOK, rivals
 from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
+from tuning.search.state import FEASIBLE
 from tuning.spec import TuneSpec
-from tuning.state import FEASIBLE
 
 Runs = Mapping[str, Sequence[Run]]
 """Per name, one per seed."""

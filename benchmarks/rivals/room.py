@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from tuning.transforms import Axis
+from tuning.objective.transforms import Axis
 
 
 def vectors(axes: Sequence[Axis], shares: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n size"]:

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import select
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -61,13 +62,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"\njaxmpc {args.verb}: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        try:
-            sys.stdout.flush()
-        except BrokenPipeError:
-            # Who reads has had enough, as `head` has; what Python still wants to flush at its end goes nowhere.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 141
-        raise
+        if not _unread(sys.stdout.fileno()):
+            raise
+        # Who reads has had enough, as `head` has; what Python still wants to flush at its end goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+
+
+def _unread(descriptor: int) -> bool:
+    """Whether it is a pipe whose other end is closed."""
+    watch = select.poll()
+    watch.register(descriptor, 0)
+    return any(event & select.POLLERR for _, event in watch.poll(0))
 
 
 def _version() -> str:

@@ -88,8 +88,8 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> None:
 
     from jaxmpc.cli.tables import number, show
     from jaxmpc.status import Status
-    from tuning.trial_report import draws, pairs, ranked, wilson
     from tuning.trials import motion_of
+    from tuning.trials.report import draws, pairs, ranked, wilson
 
     count, unstable = len(found.status), found.unstable
     motions = np.array([motion_of(i) for i in range(count)])
@@ -158,7 +158,7 @@ def _margins(name: str, params: "Params", job: "Job") -> list[list[str]]:
 
 
 def _files(folder: Path, job: "Job", names: list[str], found: "Outcomes") -> None:
-    from tuning.trial_report import draws, ranked, trials_figure, write_csv, write_trial
+    from tuning.trials.report import draws, ranked, trials_figure, write_csv, write_trial
 
     written = [folder / "trials.csv", folder / "trials.png"]
     write_csv(written[0], job, names, found)

@@ -8,7 +8,7 @@ import pytest
 
 from jaxmpc.precision import in_float64
 from tuning import TuneSpec
-from tuning.problem import problem_of, training
+from tuning.objective.problem import problem_of, training
 
 Job = Callable[..., dict[str, Any]]
 POINTS, ROWS = 20, 32

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc import Experiment, Params
-from tuning.heldout import compare
+from tuning.proof.heldout import compare
 
 
 def test_controllers_of_several_structures_keep_their_order() -> None:

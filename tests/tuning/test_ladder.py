@@ -9,11 +9,11 @@ import pytest
 from jaxmpc import Params
 from jaxmpc.precision import in_float64
 from tuning import TuneSpec, pareto
-from tuning.front import handed_on, table
-from tuning.ladder import SAME, climb, proposed
-from tuning.problem import problem_of, training
+from tuning.objective.problem import problem_of, training
 from tuning.result import judge
-from tuning.state import State
+from tuning.search.front import handed_on, table
+from tuning.search.ladder import SAME, climb, proposed
+from tuning.search.state import State
 
 Job = Callable[..., dict[str, Any]]
 

@@ -13,12 +13,12 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.precision import in_float64
 from tuning import TuneSpec
-from tuning.corrected import REACH, minimised, values_and_slopes
-from tuning.designed import Data
-from tuning.mapping import Measured, correction, parents, refine, spectra_of
-from tuning.objective import HEADROOM, Values, look
-from tuning.problem import Problem, problem_of, training
-from tuning.state import State
+from tuning.objective.designed import Data
+from tuning.objective.loss import HEADROOM, Values, look
+from tuning.objective.problem import Problem, problem_of, training
+from tuning.search.corrected import REACH, minimised, values_and_slopes
+from tuning.search.mapping import Measured, correction, parents, refine, spectra_of
+from tuning.search.state import State
 
 MOVED = (0, 1, 2, 3, 4, 5)
 """All but the horizons, which come last."""

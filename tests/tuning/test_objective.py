@@ -12,11 +12,11 @@ import pytest
 from jaxmpc import margins
 from jaxmpc.precision import in_float64
 from tuning import TuneSpec
-from tuning.designed import measure
 from tuning.goals import standing
-from tuning.objective import HEADROOM, PEAK_TO_RMS, PENALTY, Values, look, seen, seen_soft
-from tuning.optimise import optimiser
-from tuning.problem import Problem, problem_of, training
+from tuning.objective.designed import measure
+from tuning.objective.loss import HEADROOM, PEAK_TO_RMS, PENALTY, Values, look, seen, seen_soft
+from tuning.objective.problem import Problem, problem_of, training
+from tuning.search.optimise import optimiser
 
 Job = Callable[..., dict[str, Any]]
 QUIET = {"sensor": {"lsb": [0.0, 0.0, 0.0]}, "reference": {"z": []}}

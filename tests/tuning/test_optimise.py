@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import tuning.optimise
+import tuning.search.optimise
 from jaxmpc import Params, margins
 from jaxmpc.errors import InputError
 from tuning import TuneSpec, tune
-from tuning.ladder import climb
-from tuning.optimise import optimiser, schedule
-from tuning.state import NAME, State
+from tuning.search.ladder import climb
+from tuning.search.optimise import optimiser, schedule
+from tuning.search.state import NAME, State
 
 Job = Callable[..., dict[str, Any]]
 
@@ -71,7 +71,7 @@ def test_a_killed_run_continues_to_the_same_bits(
     spec: TuneSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, stop = descend(spec), 7
-    monkeypatch.setattr(tuning.optimise, "SAVE_EVERY", 0.0)
+    monkeypatch.setattr(tuning.search.optimise, "SAVE_EVERY", 0.0)
     record = State.record
 
     def killed(self: State, *args: Any, **kwargs: Any) -> None:

@@ -15,19 +15,19 @@ from jaxmpc import Params
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
 from tuning import TuneResult, TuneSpec, report
-from tuning.agreement import Agreement
-from tuning.explained import Study, limits_text
-from tuning.figures import best_of_each_look
-from tuning.files import write
-from tuning.html import picture, tag
-from tuning.ladder import Step
-from tuning.limits import Active, Limits, active_margins
-from tuning.loops import Curves
-from tuning.page import html_report
-from tuning.reached import Row, rows, verdict
-from tuning.sensitivities import Sensitivities
-from tuning.split import Split
-from tuning.state import State
+from tuning.proof.agreement import Agreement
+from tuning.proof.explained import Study, limits_text
+from tuning.proof.limits import Active, Limits, active_margins
+from tuning.proof.loops import Curves
+from tuning.proof.reached import Row, rows, verdict
+from tuning.proof.sensitivities import Sensitivities
+from tuning.proof.split import Split
+from tuning.reports.figures import best_of_each_look
+from tuning.reports.files import write
+from tuning.reports.html import picture, tag
+from tuning.reports.page import html_report
+from tuning.search.ladder import Step
+from tuning.search.state import State
 
 Job = Callable[..., dict[str, Any]]
 NAME = '<b>"a & b"</b>'
@@ -137,7 +137,7 @@ def test_the_text_says_it_all(result: TuneResult) -> None:
 
 def test_a_goal_that_held_in_training_alone_is_told(result: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:
     known, missed = rows(result), Row("chatter", True, 1.2, (0.8, 1.207), 1900.0)
-    monkeypatch.setattr("tuning.reached.rows", lambda _: [*known, missed])
+    monkeypatch.setattr("tuning.proof.reached.rows", lambda _: [*known, missed])
     assert verdict(result) == "all hard goals are met in training; held out, missed: chatter ≤ 1.2 m/s²"
 
 
@@ -166,7 +166,7 @@ def test_goals_are_those_of_the_scenarios_that_were_held(result: TuneResult) -> 
 def test_files_are_whole_and_the_page_needs_nothing_else(
     result: TuneResult, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tuning.files.study", lambda result: study)
+    monkeypatch.setattr("tuning.reports.files.study", lambda result: study)
     written = write(result, tmp_path)
     pictures = {"history", "before_after", "sensitivity", "nyquist", "step", "split"}
     texts = {"params.toml", "history.npz", "report.txt", "report.html"}

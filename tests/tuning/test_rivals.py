@@ -16,8 +16,8 @@ from jaxmpc.law import cascade
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.stability.response import controller_response
 from tuning import TuneSpec
-from tuning.objective import look
-from tuning.problem import Problem, problem_of, training
+from tuning.objective.loss import look
+from tuning.objective.problem import Problem, problem_of, training
 
 pytestmark = pytest.mark.slow
 

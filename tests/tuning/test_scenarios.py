@@ -9,7 +9,7 @@ import pytest
 from jaxmpc import Experiment, Params, evaluate
 from jaxmpc.errors import InputError
 from jaxmpc.world.reference import Reference
-from tuning.heldout import compare
+from tuning.proof.heldout import compare
 from tuning.scenarios import Rhythm, Scenarios, describe, scenario, scenarios
 
 ARM = msgspec.structs.replace(Experiment.published("table-1-wam"), duration=0.5, settle=0.1, reference=Reference())

@@ -16,17 +16,17 @@ from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.world.contact import hertz
 from tuning import TuneSpec
-from tuning.agreement import agreement, spearman
-from tuning.files import write
-from tuning.gradients import SCORE, judged_on, looked, on_tissue, slopes
-from tuning.ladder import climb
-from tuning.limits import limits, multipliers_of
-from tuning.loops import curves
-from tuning.objective import HEADROOM, PENALTY
-from tuning.problem import Problem
+from tuning.objective.loss import HEADROOM, PENALTY
+from tuning.objective.problem import Problem
+from tuning.proof.agreement import agreement, spearman
+from tuning.proof.gradients import SCORE, judged_on, looked, on_tissue, slopes
+from tuning.proof.limits import limits, multipliers_of
+from tuning.proof.loops import curves
+from tuning.proof.sensitivities import log_slopes, sensitivities, vector_of
+from tuning.proof.split import split
+from tuning.reports.files import write
 from tuning.result import judge
-from tuning.sensitivities import log_slopes, sensitivities, vector_of
-from tuning.split import split
+from tuning.search.ladder import climb
 
 Job = Callable[..., dict[str, Any]]
 QUIET = {"sensor": {"lsb": [0.0, 0.0, 0.0]}, "reference": {"z": []}}
@@ -154,7 +154,7 @@ def test_curves_show_the_worse_cut_and_end_where_the_reference_asks(spec: TuneSp
 @pytest.mark.slow
 @in_float64
 def test_a_real_job_against_central_differences_without_another_program(small: Job) -> None:
-    from tuning.problem import _dealt
+    from tuning.objective.problem import _dealt
 
     free = {"lam": True, "Q_p": True, "K2": True, "Khat_s": True, "Hp": True}
     tune = {"starts": 4, "steps": 4, "free": free}

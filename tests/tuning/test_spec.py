@@ -7,7 +7,7 @@ import pytest
 from jaxmpc import Params
 from jaxmpc.errors import InputError
 from tuning import TuneSpec
-from tuning.transforms import FREE
+from tuning.objective.transforms import FREE
 
 
 def spec_of(folder: Path, text: str) -> TuneSpec:

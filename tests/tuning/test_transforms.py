@@ -7,7 +7,7 @@ import pytest
 
 from jaxmpc import Params
 from jaxmpc.params import HP_MAX, HU_MAX
-from tuning.transforms import DEFAULTS, FREE, Space, axis_of
+from tuning.objective.transforms import DEFAULTS, FREE, Space, axis_of
 
 
 @pytest.mark.parametrize("name", DEFAULTS)

@@ -13,8 +13,8 @@ from jaxmpc import Experiment, InputError, Params, Status, evaluate
 from jaxmpc.world.reference import Reference
 from tuning import trials
 from tuning.scenarios import RHYTHMS
-from tuning.trial_report import pairs, ranked, wilson
 from tuning.trials import HARD, NOMINAL, Job, Outcomes
+from tuning.trials.report import pairs, ranked, wilson
 
 BLOCK = 4
 

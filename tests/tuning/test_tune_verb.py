@@ -17,7 +17,7 @@ from jaxmpc.cli import main
 from jaxmpc.sealed import unseal
 from jaxmpc.spec import write_toml
 from tuning import TuneSpec
-from tuning.heldout import compare
+from tuning.proof.heldout import compare
 from tuning.scenarios import scenarios
 
 Job = Callable[..., dict[str, Any]]

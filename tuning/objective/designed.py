@@ -21,8 +21,8 @@ from jaxmpc.stability.residual import residual_rms
 from jaxmpc.stability.spectrum import Spectrum
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.contact import Contact, hertz
+from tuning.objective.transforms import Axis
 from tuning.risk import Risk
-from tuning.transforms import Axis
 
 STEP_SAMPLES = 512
 """Length of the step response in which the overshoot is looked for [samples]."""

@@ -8,7 +8,7 @@ import numpy as np
 from jaxmpc.metrics import Metrics
 from jaxmpc.precision import in_float64
 from tuning.goals import MARGINS, OVERSHOOT, UNITS, measured
-from tuning.loops import curves
+from tuning.proof.loops import curves
 from tuning.result import TuneResult
 
 

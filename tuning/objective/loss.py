@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
-from tuning.designed import Data, Designed, Kind, cells_of, designed, overshoot_of
 from tuning.goals import OVERSHOOT, PEAK, Standing, measured, standing
+from tuning.objective.designed import Data, Designed, Kind, cells_of, designed, overshoot_of
+from tuning.objective.transforms import Space
 from tuning.risk import soft_worst
-from tuning.transforms import Space
 
 PENALTY = 10.0
 """Price of a violation in units of log residual: above its Lagrange multiplier (some 2) the penalty is exact."""

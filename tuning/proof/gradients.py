@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.goals import MARGINS
-from tuning.objective import PENALTY, Values
-from tuning.problem import Problem
+from tuning.objective.loss import PENALTY, Values
+from tuning.objective.problem import Problem
 
 FACTOR = 1e3
 """By so much a limit is moved to be out of reach, or in the reach of everybody."""

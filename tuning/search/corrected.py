@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
-from tuning.designed import Data, Kind
-from tuning.objective import HEADROOM, constrained
-from tuning.problem import Problem
+from tuning.objective.designed import Data, Kind
+from tuning.objective.loss import HEADROOM, constrained
+from tuning.objective.problem import Problem
+from tuning.objective.transforms import HORIZONS
 from tuning.spec import TuneSpec
-from tuning.transforms import HORIZONS
 
 REACH = 1.0
 """How far a search may go from where it begins, per unconstrained number: beyond, a correction says little."""

@@ -7,16 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmpc.experiment import AXES
-from tuning.agreement import Agreement, agreement
-from tuning.gradients import SCORE
-from tuning.html import Html, note, picture, section, table, tag
-from tuning.limits import RELAXED, Limits, limits
-from tuning.loops import Curves, curves
+from tuning.proof.agreement import Agreement, agreement
+from tuning.proof.gradients import SCORE
+from tuning.proof.limits import RELAXED, Limits, limits
+from tuning.proof.loops import Curves, curves
+from tuning.proof.sensitivities import Sensitivities, sensitivities
+from tuning.proof.split import CAUSES, Split, split
+from tuning.reports.html import Html, note, picture, section, table, tag
+from tuning.reports.study_figures import agreement_figure, sensitivities_figure, split_figure
 from tuning.result import TuneResult
-from tuning.sensitivities import Sensitivities, sensitivities
-from tuning.split import CAUSES, Split, split
-from tuning.state import FEASIBLE
-from tuning.study_figures import agreement_figure, sensitivities_figure, split_figure
+from tuning.search.state import FEASIBLE
 
 
 class Study(NamedTuple):

@@ -9,13 +9,13 @@ import numpy as np
 from jaxmpc import __version__
 from jaxmpc.experiment import AXES
 from jaxmpc.params import BOUNDS, STRUCTURE
-from tuning.explained import Study, explained
-from tuning.figures import before_after_figure, history_figure
-from tuning.html import Html, fold, note, page, picture, section, table, tag
-from tuning.loop_figures import nyquist_figure, sensitivity_figure, step_figure
-from tuning.loops import Curves
-from tuning.reached import Row, kept, rows, verdict
-from tuning.report import (
+from tuning.proof.explained import Study, explained
+from tuning.proof.loops import Curves
+from tuning.proof.reached import Row, kept, rows, verdict
+from tuning.reports.figures import before_after_figure, history_figure
+from tuning.reports.html import Html, fold, note, page, picture, section, table, tag
+from tuning.reports.loop_figures import nyquist_figure, sensitivity_figure, step_figure
+from tuning.reports.text import (
     MARGIN_HEADS,
     METRICS,
     brief,

@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tuning.figures import HINT
+from tuning.reports.figures import HINT
 
 SALT = "jaxmpc"
 """Makes the names within a picture depend on its contents alone: the same result gives the same bytes."""

@@ -7,14 +7,14 @@ import numpy as np
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.progress import progress
-from tuning.mapping import PROPOSED, refine
-from tuning.optimise import descend, schedule
-from tuning.problem import Problem, problem_of, training
+from tuning.objective.problem import Problem, problem_of, training
+from tuning.objective.transforms import HORIZONS
+from tuning.search.mapping import PROPOSED, refine
+from tuning.search.optimise import descend, schedule
+from tuning.search.state import State
+from tuning.search.worst_case import Found, search
 from tuning.settings import Level
 from tuning.spec import TuneSpec
-from tuning.state import State
-from tuning.transforms import HORIZONS
-from tuning.worst_case import Found, search
 
 SCREENED = 16
 """Random points looked at for each start of the first level."""

@@ -12,9 +12,9 @@ import optax
 from jaxtyping import Array
 
 from jaxmpc.progress import progress
-from tuning.problem import Problem
+from tuning.objective.problem import Problem
+from tuning.search.state import NAME, State, load, save
 from tuning.spec import TuneSpec
-from tuning.state import NAME, State, load, save
 
 CLIP = 1.0
 """Largest norm of one start's gradient: one that grazes instability must not fill Adam's memory."""

@@ -15,8 +15,8 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.scene import Scene, scene_of, side_by_side, world_of
 from jaxmpc.stability.spectrum import spectrum_of
 from jaxmpc.uncompensated import uncompensated_acceleration
-from tuning.designed import Data, Kind, measure
-from tuning.objective import Values, seen, seen_soft, value_alone, value_and_gradient
+from tuning.objective.designed import Data, Kind, measure
+from tuning.objective.loss import Values, seen, seen_soft, value_alone, value_and_gradient
 from tuning.scenarios import scenarios, scene_over
 from tuning.settings import Level
 from tuning.spec import TuneSpec

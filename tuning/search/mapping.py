@@ -4,7 +4,7 @@
 
 exact at z₀ and good around it, at a thousandth of a run's price. Peaks, which spectra do not see, follow the RMS. A
 round measures a handful of points side by side, takes the best as z₀, and on each corrected model minimises the risk
-under all hard goals (`tuning.corrected`). Only what was measured counts: a correction that misleads costs a round.
+under all hard goals (`tuning.search.corrected`). Only what was measured counts: what misleads costs a round.
 
 Source: J. W. Bandler et al., Space Mapping: The State of the Art, IEEE Trans. Microwave Theory and Techniques 52(1),
 2004; there "output space mapping".
@@ -24,12 +24,12 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.precision import in_float64
 from jaxmpc.progress import progress
-from tuning.corrected import minimised
-from tuning.objective import Values
-from tuning.optimise import WORTH, note
-from tuning.problem import Problem, problem_of
+from tuning.objective.loss import Values
+from tuning.objective.problem import Problem, problem_of
+from tuning.search.corrected import minimised
+from tuning.search.optimise import WORTH, note
+from tuning.search.state import State, load, save
 from tuning.spec import TuneSpec
-from tuning.state import State, load, save
 
 PROPOSED = 2
 """Points measured in a round, for each start of the last level."""

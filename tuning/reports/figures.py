@@ -8,11 +8,11 @@ import numpy as np
 from jaxmpc.experiment import AXES
 from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
 from jaxmpc.params import BOUNDS
-from tuning.ladder import Step
-from tuning.reached import kept
+from tuning.objective.transforms import HORIZONS
+from tuning.proof.reached import kept
 from tuning.result import TuneResult
-from tuning.state import FEASIBLE, State
-from tuning.transforms import HORIZONS
+from tuning.search.ladder import Step
+from tuning.search.state import FEASIBLE, State
 
 HINT = "hint: "
 """What begins so as an artist's gid is shown in the HTML report while the pointer rests on it."""

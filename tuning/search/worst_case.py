@@ -9,10 +9,10 @@ import numpy as np
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from tuning.goals import OVERSHOOT, measured
-from tuning.heldout import versus
-from tuning.problem import training
+from tuning.objective.problem import training
+from tuning.proof.heldout import versus
+from tuning.search.state import State
 from tuning.spec import TuneSpec
-from tuning.state import State
 
 FIRST_SEED = 1_000_000
 """Of the scenarios searched; held-out ones among them are left out."""

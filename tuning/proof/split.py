@@ -15,7 +15,7 @@ from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.residual import Parts, residual_parts, residual_rms
 from jaxmpc.stability.spectrum import Spectrum, spectrum_of
 from jaxmpc.world.contact import hertz
-from tuning.problem import training
+from tuning.objective.problem import training
 from tuning.result import TuneResult
 
 MOST = 8

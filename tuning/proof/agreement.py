@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmpc.precision import in_float64
-from tuning.gradients import looked
-from tuning.ladder import Step
+from tuning.proof.gradients import looked
 from tuning.result import LOST, TuneResult
+from tuning.search.ladder import Step
 from tuning.settings import Level
 
 MOST = 24

@@ -30,7 +30,7 @@ from jaxmpc.sealed import SealError, digest, seal, unseal, write_atomic
 from jaxmpc.status import Status
 from jaxmpc.world.contact import hertz
 from tuning.scenarios import Rhythm, Scenarios, scenario
-from tuning.trial_program import block_program
+from tuning.trials.program import block_program
 
 DURATION, SETTLE = 8.0, 2.0
 """Of a trial, and what is not judged of it [s]: ten beats, three breaths, and whatever event the rhythm has."""

@@ -6,11 +6,11 @@ import numpy as np
 
 from jaxmpc.experiment import AXES
 from jaxmpc.params import BOUNDS
-from tuning.limits import active_margins
-from tuning.reached import kept, rows, verdict
+from tuning.proof.limits import active_margins
+from tuning.proof.reached import kept, rows, verdict
 from tuning.result import KINDS, TuneResult
 from tuning.scenarios import describe
-from tuning.state import FEASIBLE
+from tuning.search.state import FEASIBLE
 
 MARGIN_HEADS = ("M_s", "gain up dB", "gain down dB", "phase deg", "delay ms")
 METRICS = (("rms", "residual RMS"), ("peak_to_peak", "residual peak to peak"))

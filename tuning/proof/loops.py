@@ -17,7 +17,7 @@ from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact, hertz
-from tuning.designed import STEP_SAMPLES
+from tuning.objective.designed import STEP_SAMPLES
 
 LOWEST_HZ, POINTS = 0.1, 500
 """Where the curves over frequency begin, and their points up to the Nyquist frequency, in equal ratios."""

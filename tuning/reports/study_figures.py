@@ -6,11 +6,11 @@ import numpy as np
 
 from jaxmpc.experiment import AXES
 from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
-from tuning.agreement import Agreement
-from tuning.figures import HINT, logarithmic
+from tuning.proof.agreement import Agreement
+from tuning.proof.sensitivities import Sensitivities
+from tuning.proof.split import Split
+from tuning.reports.figures import HINT, logarithmic
 from tuning.result import TuneResult
-from tuning.sensitivities import Sensitivities
-from tuning.split import Split
 
 PARTS = (("motion", TUNED), ("friction", ACCENT), ("noise", BASELINE))
 FADED = 0.45

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmpc.precision import in_float64
-from tuning.gradients import SCORE, Slope, on_tissue, slopes
+from tuning.objective.transforms import HORIZONS, Space
+from tuning.proof.gradients import SCORE, Slope, on_tissue, slopes
 from tuning.result import TuneResult
 from tuning.settings import Level
-from tuning.transforms import HORIZONS, Space
 
 
 class Sensitivities(NamedTuple):
@@ -32,7 +32,7 @@ class Sensitivities(NamedTuple):
 
 @in_float64
 def sensitivities(result: TuneResult) -> Sensitivities:
-    """Exact gradients by the last level's own program; see `tuning.gradients`."""
+    """Exact gradients by the last level's own program; see `tuning.proof.gradients`."""
     step, space = result.steps[-1], result.spec.space
     z = vector_of(result)
     beside, apart = _beside(space, z)

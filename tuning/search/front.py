@@ -18,11 +18,11 @@ from jaxmpc.params import BOUNDS, Params
 from jaxmpc.precision import in_float64
 from jaxmpc.sealed import write_atomic
 from tuning.goals import MARGINS, UNITS
-from tuning.ladder import climb
-from tuning.optimise import descend, schedule
-from tuning.problem import problem_of, training
+from tuning.objective.problem import problem_of, training
+from tuning.search.ladder import climb
+from tuning.search.optimise import descend, schedule
+from tuning.search.state import FEASIBLE, State
 from tuning.spec import TuneSpec
-from tuning.state import FEASIBLE, State
 
 LEGS = 3
 """Descents with an exchange between them."""

@@ -10,7 +10,7 @@ import numpy as np
 from jaxmpc import __version__
 from jaxmpc.errors import InputError
 from jaxmpc.sealed import SealError, seal, unseal, write_atomic
-from tuning.objective import Values
+from tuning.objective.loss import Values
 
 NAME = "state.npz"
 FEASIBLE = 1.0

@@ -9,13 +9,13 @@ import numpy as np
 from jaxmpc import __version__
 from jaxmpc.sealed import seal, write_atomic
 from jaxmpc.spec import write_toml
-from tuning.explained import study
-from tuning.figures import before_after_figure, history_figure
-from tuning.loop_figures import nyquist_figure, sensitivity_figure, step_figure
-from tuning.page import html_report
-from tuning.report import report
+from tuning.proof.explained import study
+from tuning.reports.figures import before_after_figure, history_figure
+from tuning.reports.loop_figures import nyquist_figure, sensitivity_figure, step_figure
+from tuning.reports.page import html_report
+from tuning.reports.study_figures import split_figure
+from tuning.reports.text import report
 from tuning.result import TuneResult
-from tuning.study_figures import split_figure
 
 
 def write(result: TuneResult, folder: Path) -> list[Path]:

@@ -16,9 +16,9 @@ from jaxtyping import Float
 
 from jaxmpc.precision import in_float64
 from tuning.goals import standing
-from tuning.gradients import SCORE, Slope, judged_on, slopes
+from tuning.proof.gradients import SCORE, Slope, judged_on, slopes
+from tuning.proof.sensitivities import vector_of
 from tuning.result import TuneResult
-from tuning.sensitivities import vector_of
 
 ACTIVE = 0.97
 """Normalised goals above this hold the controller back [-]."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from jaxmpc.figures import ACCENT, figure
-from tuning.figures import BOTH, logarithmic
-from tuning.loops import Curves
+from tuning.proof.loops import Curves
+from tuning.reports.figures import BOTH, logarithmic
 from tuning.result import TuneResult
 
 ABREAST = 4
