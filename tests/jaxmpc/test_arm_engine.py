@@ -100,6 +100,7 @@ def test_five_seconds_on_stock_mjx_are_those_of_the_mujoco_loop(sensor: dict[str
     check_parity(changed(EULER, physics="mjx", arm={"integrator": "leapfrog"}, sensor=sensor))
 
 
+@pytest.mark.slow
 def test_a_run_tells_the_gain_that_its_guard_leaves() -> None:
     """That of the guard alone over the force of the run, in numpy; far too stiff a tissue makes the loop swing."""
     experiment = changed(TABLE, duration=5.5, settle=5.0, stiffness=(810.0, 4000.0))

@@ -208,7 +208,7 @@ def test_batch_equals_one_by_one() -> None:
     together = design(batch)
     for row in range(3):
         alone = design(batch[row])
-        for ours, theirs in zip(together, alone, strict=True):
+        for ours, theirs in zip(*map(jax.tree.leaves, (together, alone)), strict=True):
             np.testing.assert_allclose(ours[row], theirs, rtol=1e-12)
 
 
@@ -236,11 +236,11 @@ def test_gradient_of_the_design_is_the_central_difference(architecture: str, ord
         values = dict(zip(NAMES, jnp.exp(x), strict=True))
         return design_one(Params(**values, architecture=architecture, disturbance_order=order), T_S)[0]
 
-    scales = [max(1.0, float(jnp.max(jnp.abs(g)))) for g in gains_at(point)]
+    scales = [max(1.0, float(jnp.max(jnp.abs(g)))) for g in jax.tree.leaves(gains_at(point))]
 
     @jax.jit
     def summary(x: jax.Array) -> jax.Array:
-        return sum(jnp.sum(w * g / s) for w, g, s in zip(weights, gains_at(x), scales, strict=True))
+        return sum(jnp.sum(w * g / s) for w, g, s in zip(weights, jax.tree.leaves(gains_at(x)), scales, strict=True))
 
     gradient = {"forward": jax.jacfwd, "reverse": jax.grad}[mode](summary)(point)
     step = 1e-5
