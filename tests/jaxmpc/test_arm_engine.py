@@ -87,9 +87,10 @@ def check_parity(experiment: Experiment) -> None:
 
 @pytest.mark.parametrize(
     "experiment",
-    [pytest.param(FINE, marks=pytest.mark.slow), HARD, pytest.param(EULER, marks=pytest.mark.slow)],
+    [FINE, HARD, EULER],
     ids=["fine", "hard", "nominal"],
 )
+@pytest.mark.slow
 def test_five_seconds_are_those_of_the_mujoco_loop(experiment: Experiment) -> None:
     check_parity(experiment)
 

@@ -150,11 +150,12 @@ def central(function: Callable[[jax.Array], jax.Array], step: float) -> np.ndarr
     ("damping", "mode"),
     [
         ("sampled", "reverse"),
-        pytest.param("ideal", "reverse", marks=pytest.mark.slow),
-        pytest.param("sampled", "forward", marks=pytest.mark.slow),
-        pytest.param("ideal", "forward", marks=pytest.mark.slow),
+        ("ideal", "reverse"),
+        ("sampled", "forward"),
+        ("ideal", "forward"),
     ],
 )
+@pytest.mark.slow
 def test_gradient_through_design_and_loop_is_the_central_difference(damping: str, mode: str) -> None:
     experiment = replace(
         SHORT,
