@@ -71,7 +71,8 @@ $(ROBOT): requirements-robot.txt pyproject.toml
 	@$(call install,$(ROBOT_VENV),requirements-robot.txt)
 	@touch $@
 
-# Two calls of pip, because it refuses an editable package where it demands hashes.
+# Two calls of pip, because it refuses an editable package where it demands hashes. Python compiles what is imported,
+# and sooner than pip all that is installed.
 define install
 set -e; \
 if [ ! -x $(1)/bin/pip ]; then \
@@ -89,7 +90,7 @@ if [ ! -x $(1)/bin/pip ]; then \
 else \
 	echo "bringing $(1) up to date …"; \
 fi; \
-pip="$(1)/bin/python -m pip --disable-pip-version-check --no-input install --quiet"; \
+pip="$(1)/bin/python -m pip --disable-pip-version-check --no-input install --quiet --no-compile"; \
 $$pip --require-hashes -r $(2); \
 $$pip --no-deps --no-build-isolation -e .
 endef
