@@ -2,7 +2,8 @@
 
 Margins see one axis with a rigid arm. Four joints that hang together, masses that are believed wrong and a spring
 between motor and link are in no such loop, but in the derivative of one sample at rest. Left out is what has no slope:
-quantisers are off, and every joint slides, so that Coulomb friction is a constant and viscous friction stays.
+quantisers are off, and every joint slides, so that Coulomb friction is a constant and viscous friction stays. A guard
+of the gain has no slope at rest either: the loop is that of the full gain.
 """
 
 from collections.abc import Sequence

@@ -16,12 +16,12 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
 from tuning import TuneResult, TuneSpec, report
 from tuning.proof.agreement import Agreement
-from tuning.proof.explained import Study, limits_text
 from tuning.proof.limits import Active, Limits, active_margins
 from tuning.proof.loops import Curves
 from tuning.proof.reached import Row, rows, verdict
 from tuning.proof.sensitivities import Sensitivities
 from tuning.proof.split import Split
+from tuning.reports.explained import Study, limits_text
 from tuning.reports.figures import best_of_each_look
 from tuning.reports.files import write
 from tuning.reports.html import picture, tag

@@ -9,7 +9,7 @@ import numpy as np
 from jaxmpc import __version__
 from jaxmpc.sealed import seal, write_atomic
 from jaxmpc.spec import write_toml
-from tuning.proof.explained import study
+from tuning.reports.explained import study
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.loop_figures import nyquist_figure, sensitivity_figure, step_figure
 from tuning.reports.page import html_report
@@ -27,8 +27,8 @@ def write(result: TuneResult, folder: Path) -> list[Path]:
     written = []
     if result.feasible:
         written.append(folder / "params.toml")
-        experiment = "" if result.spec.experiment.physics == "linear" else " --experiment table-1-wam"
-        comment = f"Tuned by jaxmpc. Freeze it: jaxmpc freeze params.toml{experiment} -o controller.npz"
+        experiment = result.spec.experiment.name
+        comment = f"Tuned by jaxmpc. Freeze it: jaxmpc freeze params.toml --experiment {experiment} -o controller.npz"
         write_toml(written[-1], {"params": result.params.to_dict(), "provenance": provenance(result)}, comment)
     written.append(folder / "history.npz")
     write_atomic(written[-1], history(result))

@@ -9,9 +9,9 @@ import numpy as np
 from jaxmpc import __version__
 from jaxmpc.experiment import AXES
 from jaxmpc.params import BOUNDS, STRUCTURE
-from tuning.proof.explained import Study, explained
 from tuning.proof.loops import Curves
 from tuning.proof.reached import Row, kept, rows, verdict
+from tuning.reports.explained import Study, explained
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.html import Html, fold, note, page, picture, section, table, tag
 from tuning.reports.loop_figures import nyquist_figure, sensitivity_figure, step_figure
