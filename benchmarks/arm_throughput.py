@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from benchmarks.sweep_throughput import fastest, machine
-from jaxmpc.cli.setup import use_all_cores
+from jaxmpc.terminal.process import use_all_cores
 
 SECONDS = 4.0
 BLOCKS = (256, 512, 1024)
@@ -79,13 +79,13 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
     import jax
 
     from jaxmpc import Params
-    from jaxmpc.engine.blocks import over_blocks
     from jaxmpc.engine.rollout import scalars
+    from jaxmpc.engine.scene import program_spec, scenario_data, simulate_cells
     from jaxmpc.evaluation import designed
-    from jaxmpc.scene import run_cells, scene_of, world_of
+    from jaxmpc.xla.blocks import over_blocks
 
     rows = size * jax.local_device_count()
-    scene, world = scene_of(experiment), world_of(experiment)
+    scene, world = scenario_data(experiment), program_spec(experiment)
     params = Params().with_columns({"Q_p": np.geomspace(0.3, 0.6, rows), "Khat_s": np.linspace(850.0, 950.0, rows)})
 
     def apart(p: Params) -> Any:
@@ -94,7 +94,7 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
 
     batch = jax.tree.map(np.asarray, jax.jit(apart)(params))
 
-    engine = over_blocks(lambda b, s: run_cells(world, *b, s, dtype).metrics.rms, size)
+    engine = over_blocks(lambda b, s: simulate_cells(world, *b, s, dtype).metrics.rms, size)
     began = time.perf_counter()
     engine(batch, scene)
     compiled = time.perf_counter() - began
@@ -105,7 +105,7 @@ def python_loop(experiment: Any) -> tuple[float, np.ndarray]:
     """Steps per second of one environment in a Python loop, and its residual RMS [N]."""
     from benchmarks import mujoco_loop
     from jaxmpc import Params, design
-    from jaxmpc.world.motion import displacement
+    from jaxmpc.world.heart.motion import displacement
 
     params = Params.published("text")
     gains = mujoco_loop.Gains.of(design(params), float(params.K2))
@@ -139,14 +139,14 @@ def _casadi_worker(dtype: str) -> tuple[float, np.ndarray]:
     from benchmarks.casadi_episode import Episode
     from jaxmpc import Experiment, Params, design
     from jaxmpc.engine.rollout import scalars
-    from jaxmpc.scene import scene_of, world_of
+    from jaxmpc.engine.scene import program_spec, scenario_data
 
     experiment = msgspec.structs.replace(
         Experiment.published("table-1-wam"), stiffness=(810.0,), duration=SECONDS, settle=3.0
     )
     params = Params.published("text")
     gains = jax.tree.map(float, scalars(jax.tree.map(np.asarray, design(params)), False))
-    episode = Episode(world_of(experiment), scene_of(experiment), gains, float(params.K2), 810.0, dtype)
+    episode = Episode(program_spec(experiment), scenario_data(experiment), gains, float(params.K2), 810.0, dtype)
     residual = episode.run()
     return experiment.steps / fastest(episode.run, 20), residual
 

@@ -2,12 +2,12 @@
 
     python -m benchmarks.cable_frontier -o DIR [--cutoff 180 600] [--fractions 0.6 0.3] [--tuned PARAMS.toml]
 
-Minimised is the residual of `arm-tune` on its frequency level, over that of the text design with the WAM's own
-velocity filter; held are its margins, and a bound on the share of trials, of those that `jaxmpc trials --hard` begins
-with, in which the linear loop of the whole arm is unstable, no guard (`jaxmpc.law.guard`) beside it. By CMA-ES, from
-the least strict bound to the strictest, each search begun at the best that is known for its bound; whatever was seen
-counts for every bound that it meets, so fronts are monotone. A local search: a residual that it finds can be had, a
-lower one may be too.
+Minimised is the residual of `arm-tune` on its frequency level, over that of the text design with the WAM's own velocity
+filter; held are its margins, and a bound on the share of trials, of those that `jaxmpc trials --hard` begins with, in
+which the linear loop of the whole arm is unstable, no guard (`jaxmpc.law.gain_backoff`) beside it. By CMA-ES, from the
+least strict bound to the strictest, each search begun at the best that is known for its bound; whatever was seen counts
+for every bound that it meets, so fronts are monotone. A local search: a residual that it finds can be had, a lower one
+may be too.
 """
 
 import argparse
@@ -25,24 +25,24 @@ from jaxtyping import Array
 from benchmarks.rivals.objective import BATCH, evaluator
 from benchmarks.rivals.room import shares, vectors
 from jaxmpc import Params
-from jaxmpc.arm_settings import kind_of
-from jaxmpc.cli.setup import use_all_cores
-from jaxmpc.errors import InputError
-from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
-from jaxmpc.progress import progress
-from jaxmpc.sealed import write_atomic
-from jaxmpc.spec import write_toml
+from jaxmpc.experiment.tables import kind_of
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import write_atomic
+from jaxmpc.files.toml import write_toml
+from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, contact_of
 from jaxmpc.stability.whole_arm import ROUNDING, radii, robots_of, whole_arm_matrix
 from jaxmpc.synthesis import design_one
+from jaxmpc.terminal.process import use_all_cores
+from jaxmpc.terminal.progress import progress
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import Contact, hertz
 from jaxmpc.world.robot import Robot
 from tuning import TuneSpec
-from tuning.objective.designed import Data, Designed, Kind
+from tuning.objective.designed import Data, Designed, ProblemStructure
 from tuning.objective.problem import problem_of, training
-from tuning.objective.transforms import Space
+from tuning.objective.transforms import SearchSpace
 from tuning.search.state import FEASIBLE
 from tuning.trials import HARD, Job
 
@@ -81,13 +81,13 @@ class Judged(NamedTuple):
 class Room(NamedTuple):
     """Where a front is searched."""
 
-    space: Space
+    space: SearchSpace
     judge: Callable[[np.ndarray], Judged]
 
 
-def with_own_filter(z: Array, data: Data, kind: Kind) -> Designed:
+def with_own_filter(z: Array, data: Data, kind: ProblemStructure) -> Designed:
     """The tuner's controller, its margins judged with the velocity filter that it runs with; traceable."""
-    params, scene = Space(data.base, kind.axes).decode(z, 1.0), data.scene
+    params, scene = SearchSpace(data.base, kind.axes).decode(z, 1.0), data.scene
     gains, residual = design_one(params, scene.T_s)
 
     def contact(K_s: Any, sensor_cutoff: Any) -> Contact:

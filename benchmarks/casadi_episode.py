@@ -13,8 +13,8 @@ from typing import Any
 import casadi
 import numpy as np
 
+from jaxmpc.engine.scene import ProgramSpec, ScenarioData
 from jaxmpc.law import cascade, force_control
-from jaxmpc.scene import Scene, World
 from jaxmpc.world import arm, drive, robot
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
@@ -38,7 +38,9 @@ class Ops:
 class Episode:
     """One controller on one tissue from start to end, in compiled C."""
 
-    def __init__(self, world: World, scene: Scene, gains: Any, K2: float, stiffness: float, precision: str) -> None:
+    def __init__(
+        self, world: ProgramSpec, scene: ScenarioData, gains: Any, K2: float, stiffness: float, precision: str
+    ) -> None:
         self.real = {"float32": np.float32, "float64": np.float64}[precision]
         step, self.start, self.inputs = _step(world, scene, gains, K2, stiffness)
         self.steps = len(self.inputs)
@@ -55,7 +57,9 @@ class Episode:
         return rms
 
 
-def _step(world: World, scene: Scene, gains: Any, K2: float, stiffness: float) -> tuple[Any, Any, np.ndarray]:
+def _step(
+    world: ProgramSpec, scene: ScenarioData, gains: Any, K2: float, stiffness: float
+) -> tuple[Any, Any, np.ndarray]:
     """One sample as a CasADi function (state, input) → state, its first state, and all inputs."""
     assert world.kind is not None
     chain, kind = arm.chain(), world.kind
@@ -76,10 +80,10 @@ def _step(world: World, scene: Scene, gains: Any, K2: float, stiffness: float) -
     controller, body, totals = _like(empty, iter(casadi.vertsplit(x)))
 
     hearts = [
-        robot.Heart(tuple(between[6 * i : 6 * i + 3]), tuple(between[6 * i + 3 : 6 * i + 6]))
+        robot.HeartSample(tuple(between[6 * i : 6 * i + 3]), tuple(between[6 * i + 3 : 6 * i + 6]))
         for i in range(kind.substeps)
     ]
-    now = robot.Heart(tuple(heart[:3]), tuple(heart[3:]))
+    now = robot.HeartSample(tuple(heart[:3]), tuple(heart[3:]))
     force, _, body = robot.sense(chain, kind, constants, body, now, tuple(noise), Ops)
     refs = tuple((value,) for value in wanted)
     seen = body.drive

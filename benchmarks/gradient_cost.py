@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.cli.setup import use_all_cores
+from jaxmpc.terminal.process import use_all_cores
 from tuning import TuneSpec
 from tuning.objective.loss import look
 from tuning.objective.problem import Problem, problem_of, training

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import scipy.signal
 
+from jaxmpc.engine.scene import ScenarioData
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
-from jaxmpc.scene import Scene
 from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact
 
 
-def numpy_loop(gains: Gains, contacts: Contact, scene: Scene, dtype: Any) -> np.ndarray:
+def numpy_loop(gains: Gains, contacts: Contact, scene: ScenarioData, dtype: Any) -> np.ndarray:
     """A Python loop over time on preallocated arrays, vectorised over controllers × stiffnesses × axes.
 
     Every operation of the closed loop writes into an array that exists; noise, quantiser and metrics are
@@ -125,7 +125,7 @@ def loop_system(gains: Gains, contact: Contact) -> tuple[np.ndarray, np.ndarray,
         plant = world.ContactState(x, xdot, velocity, force, (newest, older))
         measured, plant = world.sense(contact, plant, heart)
         measured = measured + noise
-        controller, v = cascade.step(gains, cascade.ControllerState(x_hat, p, u, v), measured, (ref,))
+        controller, v = cascade.step(gains, cascade.AxisState(x_hat, p, u, v), measured, (ref,))
         plant, _ = world.move(contact, plant, v)
         flat = [*controller.x_hat, *controller[1:], *plant[:4], *plant.pending]
         return flat, measured
@@ -137,7 +137,7 @@ def loop_system(gains: Gains, contact: Contact) -> tuple[np.ndarray, np.ndarray,
     return A, B, C, D
 
 
-def dlsim_residual(gains: Gains, contact: Contact, scene: Scene, axis: int) -> float:
+def dlsim_residual(gains: Gains, contact: Contact, scene: ScenarioData, axis: int) -> float:
     """Residual RMS of one controller on one tissue and axis by scipy; it knows no quantiser [N]."""
     signals = scene.signals
     ref = np.asarray(signals.force_ref)[axis, :, 0]

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from deploy.artifact import load
-from deploy.bus import Bus
-from deploy.cycle import Done, Wishes
-from deploy.reference import ramps
-from deploy.safety.machine import State
+from deploy.bus.bus import Bus
+from deploy.controller.artifact import load
+from deploy.loop.cycle import CycleResult, OperatorCommand
+from deploy.loop.session import Options, Session
+from deploy.reference.stream import ramps
+from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
-from deploy.session import Options, Session
-from deploy.twin.lockstep import Clock, LockstepBus
-from deploy.twin.settings import Settings
+from deploy.twin.lockstep import LockstepBus, LockstepClock
+from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from tests.deploy import made
 
@@ -49,8 +49,8 @@ def main() -> int:
     parser.add_argument("--artifact", help="a controller for the arm (one of plain numbers)")
     parser.add_argument("--seconds", type=float, default=60.0)
     args = parser.parse_args()
-    twin = Twin(Settings(gap=0.012, start=3.5, frame="tool"))
-    clock = Clock(twin)
+    twin = Twin(TwinSettings(gap=0.012, start=3.5, frame="tool"))
+    clock = LockstepClock(twin)
     options = Options(ramps("0,0,-5@2", rate=5.0, largest=10.0), turns=True, tare=False)
     artifact = load(args.artifact) if args.artifact else made.arm_artifact()
     session = Session(artifact, Bus(LockstepBus(clock), clock.now), clock, options, lambda sentence: None)
@@ -66,16 +66,16 @@ def main() -> int:
     for (name, function), owner in zip(parts.items(), owners, strict=True):
         setattr(owner, function.__name__, timed[name])
 
-    def each(done: Done) -> Wishes:
-        if done.situation.state is State.ARMED and done.situation.cycles == 100:
+    def each(done: CycleResult) -> OperatorCommand:
+        if done.situation.state is OperatingState.ARMED and done.situation.cycles == 100:
             twin.press("activate")
         over = session.controller.contact_time >= args.seconds
-        return Wishes(True, True, Reason.FINISHED if over else Reason.NONE)
+        return OperatorCommand(True, True, Reason.FINISHED if over else Reason.NONE)
 
     gc.collect()
     gc.freeze()
     gc.disable()
-    ended = session.run(Wishes(True, True), None, each)
+    ended = session.run(OperatorCommand(True, True), None, each)
     gc.enable()
     print(f"{ended.situation.state}, {ended.situation.reason}; {ended.contact_cycles} cycles in contact")
     print(" " * 18 + "  elapsed: median      p99   own: median      p99  [µs]")

@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks import mujoco_loop
-from deploy.arm_runtime import ArmRuntime
-from deploy.artifact import load
-from jaxmpc.law import cascade, force_control
-from jaxmpc.law import guard as guards
+from deploy.controller.artifact import load
+from deploy.runtime.arm import ArmRuntime
+from jaxmpc.law import cascade, force_control, gain_backoff
 from jaxmpc.law.scalar import scale, sub
 from tests.deploy import made
 
@@ -48,8 +47,8 @@ def recorded(artifact: Any, rows: Rows) -> Callable[[int], Any]:
 def on_floats(artifact: Any, rows: Rows) -> Callable[[int], Any]:
     arm, gains = artifact.arm, cascade.constant_reference(artifact.gains)
     pole = math.exp(-arm.velocity_cutoff * artifact.T_s)
-    guard = None if gains.guard is None else guards.init()
-    state = force_control.State(tuple(cascade.init(y, cascade.order(gains)) for y in rows[0][1]), None, guard)
+    guard = None if gains.guard is None else gain_backoff.init()
+    state = force_control.ControllerState(tuple(cascade.init(y, cascade.order(gains)) for y in rows[0][1]), None, guard)
     last, velocity = rows[0][0], (0.0,) * 4
 
     def tick(k: int) -> Any:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxmpc.cli.setup import use_all_cores
+from jaxmpc.terminal.process import use_all_cores
 
 CONTROLLERS, PEER_BATCHES, PEER_SECONDS = 8192, (1024, 2048, 4096, 8192), 1.0
 
@@ -48,13 +48,13 @@ def main() -> None:
 
     from benchmarks.peers import dlsim_residual, numpy_loop
     from jaxmpc import Experiment, Params, evaluate
-    from jaxmpc.engine.blocks import over_blocks
     from jaxmpc.engine.rollout import scalars
+    from jaxmpc.engine.scene import program_spec, scenario_data
     from jaxmpc.evaluation import designed, evaluate_block
-    from jaxmpc.scene import scene_of, world_of
+    from jaxmpc.xla.blocks import over_blocks
 
     experiment = Experiment.published("table-1")
-    scene, world = scene_of(experiment), world_of(experiment)
+    scene, world = scenario_data(experiment), program_spec(experiment)
     cells = 3 * len(experiment.stiffness)
     batch = Params().with_columns({"Q_p": np.geomspace(0.1, 1.0, rows), "Khat_s": np.linspace(800.0, 1000.0, rows)})
 
@@ -65,11 +65,13 @@ def main() -> None:
     peers = jax.tree.map(np.asarray, jax.jit(apart)(batch))
     brief = msgspec.structs.replace(experiment, duration=4.0, settle=3.0)
     found = evaluate(batch[:8], brief).metrics
-    loop = numpy_loop(*first_rows(peers, 8), scene_of(brief), np.float64)
+    loop = numpy_loop(*first_rows(peers, 8), scenario_data(brief), np.float64)
     off = max(float(np.max(np.abs(np.moveaxis(a, -1, 0) / b - 1.0))) for a, b in zip(loop, found, strict=True))
     quiet = msgspec.structs.replace(brief, sensor=msgspec.structs.replace(brief.sensor, lsb=(0.0, 0.0, 0.0)))
     gains, contact = one_cell(peers)
-    lone = dlsim_residual(gains, contact, scene_of(quiet), 2) / evaluate(batch[:8], quiet).metrics.rms[0, 1, 2] - 1.0
+    lone = (
+        dlsim_residual(gains, contact, scenario_data(quiet), 2) / evaluate(batch[:8], quiet).metrics.rms[0, 1, 2] - 1.0
+    )
     print(f"{machine()}; jax {jax.__version__}, {jax.local_device_count()} devices; {experiment.steps} steps")
     print(
         f"same results in float64: numpy loop, all metrics, to {off:.0e}; dlsim, without quantiser, to {abs(lone):.0e}"

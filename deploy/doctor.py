@@ -10,12 +10,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from deploy.artifact import Artifact, ArtifactError, load
-from deploy.bus import Bus, open_bus
+from deploy.bus.bus import Bus, open_bus
+from deploy.controller.artifact import Artifact, ArtifactError, load
 from deploy.errors import BusError
+from deploy.loop.realtime import MonotonicClock, next_deadline, prepared
+from deploy.loop.statistics import LATE_OVERRUNS, Histogram
 from deploy.puck.codec import PUCKS, SAFETY_MODULE, SENSOR, PropertyReply, decode, get
-from deploy.realtime import Clock, next_deadline, prepared
-from deploy.statistics import LATE_OVERRUNS, Histogram
 
 HIGHEST_LOAD = 0.9
 """Share of the bus that may be planned with frames of the worst length: the rest is adapters and the unexpected."""
@@ -111,7 +111,7 @@ def versions() -> list[Finding]:
     return found
 
 
-def machine(rate: float, seconds: float = 1.0, clock: Clock | None = None) -> list[Finding]:
+def machine(rate: float, seconds: float = 1.0, clock: MonotonicClock | None = None) -> list[Finding]:
     """What the system grants of real time, then how punctual waits are under it.
 
     Args:
@@ -119,7 +119,7 @@ def machine(rate: float, seconds: float = 1.0, clock: Clock | None = None) -> li
         seconds: For how long.
         clock: That waits.
     """
-    clock = clock or Clock()
+    clock = clock or MonotonicClock()
     period = round(1e9 / rate)
     lateness, late = Histogram(), 0
     with prepared() as granted:

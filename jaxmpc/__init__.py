@@ -6,24 +6,24 @@ Importing this package loads no JAX: the names below are fetched when they are f
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jaxmpc.errors import InputError
     from jaxmpc.evaluation import Outcome, evaluate
     from jaxmpc.experiment import Experiment
-    from jaxmpc.params import Params, Timing
+    from jaxmpc.files.errors import InputError
     from jaxmpc.stability import Margins, margins
     from jaxmpc.status import Status
     from jaxmpc.synthesis import design
+    from jaxmpc.synthesis.params import Params, Timing
 
 __version__ = "0.1.0"
 
 _HOME = {
     "Experiment": "jaxmpc.experiment",
-    "InputError": "jaxmpc.errors",
+    "InputError": "jaxmpc.files.errors",
     "Margins": "jaxmpc.stability",
     "Outcome": "jaxmpc.evaluation",
-    "Params": "jaxmpc.params",
+    "Params": "jaxmpc.synthesis.params",
     "Status": "jaxmpc.status",
-    "Timing": "jaxmpc.params",
+    "Timing": "jaxmpc.synthesis.params",
     "design": "jaxmpc.synthesis",
     "evaluate": "jaxmpc.evaluation",
     "margins": "jaxmpc.stability",

@@ -11,20 +11,28 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxmpc.engine.arm_rollout import ArmSample
-from jaxmpc.engine.once import JitOnce
 from jaxmpc.engine.rollout import Sample, scalars
-from jaxmpc.errors import InputError, nearest
+from jaxmpc.engine.scene import (
+    CellResults,
+    ProgramSpec,
+    ScenarioData,
+    program_spec,
+    scenario_data,
+    simulate_cells,
+    with_physics,
+)
 from jaxmpc.experiment import Experiment, Physics
+from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.law.cascade import Gains
 from jaxmpc.metrics import Metrics
-from jaxmpc.params import Params
-from jaxmpc.precision import in_float64
-from jaxmpc.scene import Ran, Scene, World, run_cells, scene_of, with_physics, world_of
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.status import Status
 from jaxmpc.synthesis import design_one
+from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
+from jaxmpc.xla.once import JitOnce
+from jaxmpc.xla.precision import in_float64
 
 Precision = Literal["float64", "float32"]
 
@@ -56,7 +64,7 @@ class Designed(NamedTuple):
     """Of the Riccati equation, (controllers,) [-]."""
 
 
-def designed(params: Params, scene: Scene, *, ideal: bool) -> Designed:
+def designed(params: Params, scene: ScenarioData, *, ideal: bool) -> Designed:
     """Design a batch of controllers; float64, traceable."""
 
     def one(p: Params) -> Designed:
@@ -79,13 +87,15 @@ def judged(controllers: Designed, *, ideal: bool) -> Margins:
     return margins
 
 
-def ran(controllers: Designed, K2: Any, scene: Scene, *, world: World, dtype: Any, traced: bool) -> Ran:
+def ran(
+    controllers: Designed, K2: Any, scene: ScenarioData, *, world: ProgramSpec, dtype: Any, traced: bool
+) -> CellResults:
     """Every controller on every tissue, axis and motion; traceable."""
     gains = jax.vmap(lambda g: scalars(g, world.preview))(controllers.gains)
-    return run_cells(world, gains, K2, controllers.contacts, scene, dtype, traced)
+    return simulate_cells(world, gains, K2, controllers.contacts, scene, dtype, traced)
 
 
-def outcome_of(found: Margins, run: Ran) -> Outcome:
+def outcome_of(found: Margins, run: CellResults) -> Outcome:
     """What margins and run say together."""
     finite = jnp.isinf(run.diverged) & jnp.all(jnp.isfinite(run.metrics.rms), axis=-1)
     status = jnp.where((found.status == Status.OK) & ~finite, Status.DIVERGED, found.status)
@@ -97,19 +107,21 @@ def outcome_of(found: Margins, run: Ran) -> Outcome:
     return Outcome(held, found, status, jnp.where(jnp.isinf(when), jnp.nan, when), run.trace)
 
 
-def shaped_outcome(found: Margins, run: Ran, batch: tuple[int, ...]) -> Outcome:
+def shaped_outcome(found: Margins, run: CellResults, batch: tuple[int, ...]) -> Outcome:
     """`outcome_of` with the batch's shape instead of one leading dimension; traceable."""
     outcome: Outcome = jax.tree.map(lambda leaf: jnp.reshape(leaf, (*batch, *leaf.shape[1:])), outcome_of(found, run))
     return outcome
 
 
-def evaluate_block(params: Params, scene: Scene, *, world: World, dtype: Any, traced: bool = False) -> Outcome:
+def evaluate_block(
+    params: Params, scene: ScenarioData, *, world: ProgramSpec, dtype: Any, traced: bool = False
+) -> Outcome:
     """A flat batch of controllers on every stiffness and axis, in one go; traceable.
 
     Args:
         params: The controllers, one leading dimension.
-        scene: Data of the experiment (`scene_of`).
-        world: Its structure (`world_of`).
+        scene: Data of the experiment (`scenario_data`).
+        world: Its structure (`program_spec`).
         dtype: Precision of the time stepping.
         traced: Keep every sample.
     """
@@ -157,7 +169,7 @@ def evaluate(
             raise InputError(key, value, "a known one", nearest(str(value), list(get_args(kind))))
     batch = params.batch_shape
     flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), params)
-    scene, world = scene_of(experiment), world_of(experiment)
+    scene, world = scenario_data(experiment), program_spec(experiment)
     controllers = _designed(flat, scene, ideal=world.ideal)
 
     def judge() -> Margins:

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxmpc.errors import InputError, nearest
-from jaxmpc.figures import ACCENT, BASELINE, figure
-from jaxmpc.params import BOUNDS
-from sweeps.looks import SYMBOLS, TEXTS, WORST_RMS, plain_ticks
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.pictures.figures import ACCENT, BASELINE, figure
+from jaxmpc.synthesis.params import BOUNDS
+from sweeps.labels import SYMBOLS, TEXTS, WORST_RMS, plain_ticks
 from sweeps.result import Result
-from sweeps.space import WHOLE, Axis
+from sweeps.space import WHOLE, SweepAxis
 
 MOST_BINS, ROWS_A_BIN = 24, 12
 """Bins of a random sweep along one axis of the heat map, and rows aimed at in each cell."""
@@ -21,7 +21,7 @@ SPREAD = 3.0
 class _Bins:
     """A swept axis cut into cells: its grid points, its listed values, or stretches of its range."""
 
-    def __init__(self, axis: Axis, values: np.ndarray, sampled: bool, bins: int) -> None:
+    def __init__(self, axis: SweepAxis, values: np.ndarray, sampled: bool, bins: int) -> None:
         self.axis = axis
         self.log = axis.scale == "log"
         if sampled and axis.scale != "list":

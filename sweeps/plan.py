@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from jaxmpc.errors import InputError
-from jaxmpc.params import BOUNDS, Params
-from jaxmpc.sealed import LARGEST, digest
-from sweeps.space import Space
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import LARGEST, digest
+from jaxmpc.synthesis.params import BOUNDS, Params
+from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
 
 SCHEMA = "jaxmpc-sweep/1"
@@ -67,9 +67,9 @@ class Plan:
         return digest(self.canonical)
 
     @cached_property
-    def space(self) -> Space:
+    def space(self) -> SweepSpace:
         """The points of the sweep."""
-        return msgspec.convert(self.canonical["space"], Space)
+        return msgspec.convert(self.canonical["space"], SweepSpace)
 
     @cached_property
     def rows(self) -> np.ndarray:

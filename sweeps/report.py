@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
-from jaxmpc.params import BOUNDS
+from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
 from jaxmpc.status import Status
+from jaxmpc.synthesis.params import BOUNDS
 from sweeps.heat import heat_map, mapped_axes
-from sweeps.looks import WORST_M_S, WORST_RMS, plain_ticks
+from sweeps.labels import WORST_M_S, WORST_RMS, plain_ticks
 from sweeps.result import Point, Result
 
 __all__ = ["heat_map", "mapped_axes", "pareto_figure", "table"]

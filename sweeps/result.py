@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jaxmpc.errors import InputError, nearest
 from jaxmpc.experiment import AXES
-from jaxmpc.params import BOUNDS, Params
-from jaxmpc.sealed import canonical_json, write_atomic
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.sealed import canonical_json, write_atomic
 from jaxmpc.status import Status
+from jaxmpc.synthesis.params import BOUNDS, Params
 from sweeps import store
 from sweeps.plan import QUANTITIES, Plan
 

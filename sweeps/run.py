@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxmpc.engine.blocks import BLOCK, over_blocks
+from jaxmpc.engine.scene import ProgramSpec, program_spec, scenario_data
 from jaxmpc.evaluation import Outcome, evaluate_block
-from jaxmpc.params import Params
-from jaxmpc.progress import Tick
-from jaxmpc.progress import progress as progress_of
-from jaxmpc.scene import World, scene_of, world_of
 from jaxmpc.status import Status
+from jaxmpc.synthesis.params import Params
+from jaxmpc.terminal.progress import Tick
+from jaxmpc.terminal.progress import progress as progress_of
+from jaxmpc.xla.blocks import BLOCK, over_blocks
 from sweeps import store
 from sweeps.plan import CHUNK, QUANTITIES, Plan, check_chunk, make_plan
 from sweeps.result import Point, Result, baseline_of
@@ -70,7 +70,7 @@ def run(spec: SweepSpec, folder: str | Path, *, chunk: int = CHUNK, progress: bo
     return Result(plan, columns, baseline_of(summary))
 
 
-class Estimate(NamedTuple):
+class CostEstimate(NamedTuple):
     """What a sweep will take."""
 
     compile_s: float
@@ -79,7 +79,7 @@ class Estimate(NamedTuple):
     """Controllers per second after that [1/s]."""
 
 
-def estimate(spec: SweepSpec) -> Estimate:
+def estimate(spec: SweepSpec) -> CostEstimate:
     """Measure the first rows of a sweep, two calls of as many rows as there are in one round."""
     plan, evaluate = make_plan(spec), _evaluator(spec)
     batch = plan.params(0, min(len(plan.rows), BLOCK * jax.local_device_count()))
@@ -88,7 +88,7 @@ def estimate(spec: SweepSpec) -> Estimate:
         began = time.perf_counter()
         evaluate(batch)
         times.append(time.perf_counter() - began)
-    return Estimate(max(times[0] - times[1], 0.0), batch.batch_shape[0] / times[1])
+    return CostEstimate(max(times[0] - times[1], 0.0), batch.batch_shape[0] / times[1])
 
 
 class _Count:
@@ -115,15 +115,15 @@ class _Count:
 
 
 @lru_cache(maxsize=8)
-def _program(world: World, precision: str) -> Callable[[Any, Any], Any]:
+def _program(world: ProgramSpec, precision: str) -> Callable[[Any, Any], Any]:
     return over_blocks(partial(evaluate_block, world=world, dtype=precision))
 
 
 def _evaluator(spec: SweepSpec) -> Callable[[Params], Outcome]:
     """One compiled program for all rounds of a sweep, and for all sweeps of its kind in this process."""
     experiment = spec.experiment
-    scene = scene_of(experiment)
-    program = _program(world_of(experiment), spec.precision)
+    scene = scenario_data(experiment)
+    program = _program(program_spec(experiment), spec.precision)
 
     def evaluate(batch: Params) -> Outcome:
         with jax.enable_x64(True):

@@ -6,8 +6,8 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from jaxmpc.errors import InputError
-from jaxmpc.params import BOUNDS
+from jaxmpc.files.errors import InputError
+from jaxmpc.synthesis.params import BOUNDS
 
 WHOLE = ("Hp", "Hu")
 """Parameters that are whole numbers; points of a range are rounded to the nearest."""
@@ -16,11 +16,11 @@ MOST_ROWS = 10_000_000
 Scale = Literal["list", "linear", "log"]
 
 
-class Axis(msgspec.Struct, frozen=True):
+class SweepAxis(msgspec.Struct, frozen=True):
     """One swept parameter.
 
     Attributes:
-        name: A key of `jaxmpc.params.BOUNDS`.
+        name: A key of `jaxmpc.synthesis.params.BOUNDS`.
         scale: How its values lie; "list" are those that the user wrote out.
         values: The points of a grid or of a list, or the two ends of a range to draw from, in the parameter's unit.
     """
@@ -41,7 +41,7 @@ class Axis(msgspec.Struct, frozen=True):
         return min(max(round(value) if self.name in WHOLE else value, low), high)
 
 
-class Space(msgspec.Struct, frozen=True):
+class SweepSpace(msgspec.Struct, frozen=True):
     """Every row of a sweep.
 
     A row's number is its index in the full grid, in row-major order of the axes as written, or its index in
@@ -56,7 +56,7 @@ class Space(msgspec.Struct, frozen=True):
     """
 
     kind: Literal["grid", "random"]
-    axes: tuple[Axis, ...]
+    axes: tuple[SweepAxis, ...]
     count: int
     seed: int
     horizons: tuple[float, float]
@@ -94,7 +94,7 @@ class Space(msgspec.Struct, frozen=True):
                 return values
 
 
-def make_axis(name: str, scale: Scale, values: tuple[float, ...], points: int | None) -> Axis:
+def make_axis(name: str, scale: Scale, values: tuple[float, ...], points: int | None) -> SweepAxis:
     """An axis from its description in a spec.
 
     Args:
@@ -121,21 +121,21 @@ def make_axis(name: str, scale: Scale, values: tuple[float, ...], points: int | 
             raise InputError(key, "[]", "at least one value", "List values, or remove the axis.")
         if len(set(values)) != len(values):
             raise InputError(key, list(values), "free of repetition", "Each row of a sweep exists once.")
-        return Axis(name, scale, values)
+        return SweepAxis(name, scale, values)
     first, last = values
     if not first < last:
         raise InputError(key, list(values), "[smallest, largest]", "Swap the ends of the range, or list one value.")
     if points is None:
-        return Axis(name, scale, values)
+        return SweepAxis(name, scale, values)
     spaced = np.geomspace(first, last, points) if scale == "log" else np.linspace(first, last, points)
     # Rounding can make neighbours equal; each stays once.
-    return Axis(name, scale, tuple(dict.fromkeys((np.round(spaced) if name in WHOLE else spaced).tolist())))
+    return SweepAxis(name, scale, tuple(dict.fromkeys((np.round(spaced) if name in WHOLE else spaced).tolist())))
 
 
 def make_space(
-    kind: Literal["grid", "random"], axes: tuple[Axis, ...], rows: int, seed: int, horizons: tuple[float, float]
-) -> Space:
-    """A sweep's space; see `Space` for the arguments, of which `rows` is used by a random sample only.
+    kind: Literal["grid", "random"], axes: tuple[SweepAxis, ...], rows: int, seed: int, horizons: tuple[float, float]
+) -> SweepSpace:
+    """A sweep's space; see `SweepSpace` for the arguments, of which `rows` is used by a random sample only.
 
     Raises:
         InputError: There are too many rows, or none with H_u ≤ H_p.
@@ -148,4 +148,4 @@ def make_space(
     if ends["Hu"][0] > ends["Hp"][1]:
         bound = f"in [1, Hp (= {ends['Hp'][1]:g})] samples"
         raise InputError("Hu", f"{ends['Hu'][0]:g} or more", bound, "Lower Hu or raise Hp: no row is left.")
-    return Space(kind, axes, count, seed, horizons)
+    return SweepSpace(kind, axes, count, seed, horizons)

@@ -6,13 +6,13 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from jaxmpc.errors import InputError, nearest
 from jaxmpc.experiment import Experiment
-from jaxmpc.job import experiment_table, params_table
-from jaxmpc.params import BOUNDS, Params
-from jaxmpc.spec import convert, known_keys, located, read_toml
-from jaxmpc.world.motion import Seed
-from sweeps.space import MOST_ROWS, Axis, Scale, Space, make_axis, make_space
+from jaxmpc.experiment.job import experiment_table, params_table
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.toml import convert, known_keys, located, read_toml
+from jaxmpc.synthesis.params import BOUNDS, Params
+from jaxmpc.world.heart.motion import Seed
+from sweeps.space import MOST_ROWS, Scale, SweepAxis, SweepSpace, make_axis, make_space
 
 Ends = tuple[float, float]
 Precision = Literal["float32", "float64"]
@@ -54,7 +54,7 @@ class SweepSpec:
 
     experiment: Experiment
     params: Params
-    space: Space
+    space: SweepSpace
     precision: Precision = "float32"
     name: str = "sweep"
 
@@ -96,7 +96,7 @@ class SweepSpec:
         return SweepSpec(experiment, params, _space(table, params), table.precision, name)
 
 
-def _space(table: SweepTable, params: Params) -> Space:
+def _space(table: SweepTable, params: Params) -> SweepSpace:
     if not table.axes:
         raise InputError("sweep.axes", "empty", "at least one parameter", f"Known: {', '.join(BOUNDS)}.")
     if table.kind == "random" and table.rows is None:
@@ -110,7 +110,7 @@ def _space(table: SweepTable, params: Params) -> Space:
     return make_space(table.kind, axes, table.rows or 0, table.seed or 0, horizons)
 
 
-def _axis(name: str, described: Any, kind: str) -> Axis:
+def _axis(name: str, described: Any, kind: str) -> SweepAxis:
     key = f"sweep.axes.{name}"
     if name not in BOUNDS:
         raise InputError(key, "swept", "a known parameter", nearest(name, list(BOUNDS)))

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxmpc import __version__
-from jaxmpc.errors import InputError
-from jaxmpc.sealed import SealError, canonical_json, digest, seal, unseal, write_atomic
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import SealError, canonical_json, digest, seal, unseal, write_atomic
 from sweeps.plan import SCHEMA, Plan
 
 log = logging.getLogger(__name__)
@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 Columns = dict[str, np.ndarray]
 
 
-class Found(NamedTuple):
+class StoredChunks(NamedTuple):
     """What a folder holds."""
 
     columns: Columns
@@ -129,7 +129,7 @@ def prepare(folder: Path, plan: Plan) -> None:
     (folder / "chunks").mkdir(exist_ok=True)
 
 
-def read_chunks(folder: Path, plan: Plan) -> Found:
+def read_chunks(folder: Path, plan: Plan) -> StoredChunks:
     """Every intact row of this sweep; a damaged chunk is reported and counts as absent."""
     rows = len(plan.rows)
     columns = {name: np.zeros((rows, *column.shape), column.dtype) for name, column in plan.layout.items()}
@@ -143,7 +143,7 @@ def read_chunks(folder: Path, plan: Plan) -> Found:
         for name, values in arrays.items():
             columns[name][first:last] = values
         there[first:last] = True
-    return Found(columns, there)
+    return StoredChunks(columns, there)
 
 
 def write_chunk(folder: Path, plan: Plan, first: int, last: int, columns: Mapping[str, np.ndarray]) -> None:

@@ -16,9 +16,9 @@ SOURCES = sorted(path.relative_to(ROOT).as_posix() for name in PACKAGES for path
 # Modules of jaxmpc that the robot loads too.
 ON_ROBOT = (
     "jaxmpc.__version__",
-    "jaxmpc.errors",
+    "jaxmpc.files.errors",
     "jaxmpc.law",
-    "jaxmpc.sealed",
+    "jaxmpc.files.sealed",
     "jaxmpc.world.arm",
     "jaxmpc.world.contact",
     "jaxmpc.world.drive",
@@ -29,7 +29,8 @@ ON_ROBOT = (
 )
 ROBOT_MAY_IMPORT = ("can", "numpy", *ON_ROBOT)
 # What the twin needs besides; it runs beside the robot's programs, never in them.
-TWIN_MAY_IMPORT = ("mujoco", "jaxmpc.world.heart", "jaxmpc.world.rhythm")
+TWIN_MAY_IMPORT = ("mujoco", "jaxmpc.world.heart.harmonics", "jaxmpc.world.heart.rhythm")
+STRAIGHTLINE = "deploy/runtime/straightline.py"
 UNSAFE_MODULES = ("marshal", "pickle", "shelve", "yaml")
 JAX = {"equinox", "jax", "jaxlib", "jaxtyping", "optax"}
 
@@ -76,14 +77,15 @@ def refusal(path: str, found: Import) -> str | None:
         allowed = standard or within(name, ("deploy", *ROBOT_MAY_IMPORT, *TWIN_MAY_IMPORT))
         return None if allowed else "the twin needs only mujoco besides"
     if within(module, ("deploy",)):
-        if within(name, ("deploy.twin",)):
+        if within(name, ("deploy.twin",)) and not (found.deferred and within(module, ("deploy.cli",))):
             return "the robot has no twin"
         allowed = standard or within(name, ("deploy", *ROBOT_MAY_IMPORT))
         return None if allowed else "the robot has only numpy and python-can"
     if within(module, ON_ROBOT) and not found.deferred and not (standard or within(name, ROBOT_MAY_IMPORT)):
         return "the robot loads this module"
     if module.startswith("jaxmpc") and not within(module, ("jaxmpc.cli",)):
-        return "jaxmpc is below it" if within(name, ("sweeps", "tuning", "deploy")) else None
+        above = within(name, ("sweeps", "tuning", "deploy", "jaxmpc.cli"))
+        return "jaxmpc is below it" if above and module != "jaxmpc.__main__" else None
     if within(module, ("sweeps", "tuning")):
         others = {"sweeps", "tuning", "deploy", "jaxmpc.cli"} - {module.partition(".")[0]}
         return "it stands beside or above" if within(name, tuple(others)) else None
@@ -91,8 +93,8 @@ def refusal(path: str, found: Import) -> str | None:
 
 
 def unsafe_calls(path: str, tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Calls that would run text, start a shell or unpickle; deploy/record.py executes what it has itself written."""
-    banned = {"eval"} if path == "deploy/record.py" else {"eval", "exec", "compile", "__import__"}
+    """Calls that would run text, start a shell or unpickle; `STRAIGHTLINE` executes what it has itself written."""
+    banned = {"eval"} if path == STRAIGHTLINE else {"eval", "exec", "compile", "__import__"}
     for node in ast.walk(tree):
         if not isinstance(node, ast.Call):
             continue
@@ -118,27 +120,27 @@ def test_source_keeps_to_its_layer(path: str) -> None:
     ("path", "source"),
     [
         ("jaxmpc/law/cascade.py", "import math"),
-        ("jaxmpc/law/cascade.py", "from jaxmpc.errors import InputError"),
-        ("deploy/runtime.py", "def load():\n    import jax"),
-        ("deploy/runtime.py", "import jaxmpc"),
-        ("deploy/runtime.py", "from jaxmpc import design"),
-        ("deploy/runtime.py", "from jaxmpc.world import heart"),
-        ("deploy/runtime.py", "import mujoco"),
-        ("deploy/loop.py", "from deploy.twin import world"),
+        ("jaxmpc/law/cascade.py", "from jaxmpc.files.errors import InputError"),
+        ("deploy/runtime/linear.py", "def load():\n    import jax"),
+        ("deploy/runtime/linear.py", "import jaxmpc"),
+        ("deploy/runtime/linear.py", "from jaxmpc import design"),
+        ("deploy/runtime/linear.py", "from jaxmpc.world import heart"),
+        ("deploy/runtime/linear.py", "import mujoco"),
+        ("deploy/loop/loop.py", "from deploy.twin import world"),
         ("deploy/twin/world.py", "import jax"),
         ("deploy/twin/world.py", "from jaxmpc.world import motion"),
-        ("deploy/runtime.py", "from . import record"),
-        ("deploy/runtime.py", "exec('1')"),
-        ("deploy/record.py", "eval('1')"),
+        ("deploy/runtime/linear.py", "from . import record"),
+        ("deploy/runtime/linear.py", "exec('1')"),
+        ("deploy/runtime/straightline.py", "eval('1')"),
         ("jaxmpc/world/contact.py", "import jax.numpy as jnp"),
         ("jaxmpc/world/contact.py", "if True:\n    import jax"),
-        ("jaxmpc/sealed.py", "from jaxmpc.params import Params"),
-        ("jaxmpc/sealed.py", "numpy.load('f', allow_pickle=True)"),
-        ("jaxmpc/params.py", "class A:\n    def f(self):\n        from tuning import tune"),
+        ("jaxmpc/files/sealed.py", "from jaxmpc.synthesis.params import Params"),
+        ("jaxmpc/files/sealed.py", "numpy.load('f', allow_pickle=True)"),
+        ("jaxmpc/synthesis/params.py", "class A:\n    def f(self):\n        from tuning import tune"),
         ("jaxmpc/evaluation.py", "import sweeps.run"),
         ("sweeps/run.py", "import tuning"),
         ("sweeps/run.py", "from jaxmpc.cli import main"),
-        ("tuning/search/optimise.py", "from deploy.runtime import Runtime"),
+        ("tuning/search/optimise.py", "from deploy.runtime.linear import Runtime"),
         ("sweeps/store.py", "import pickle"),
         ("sweeps/store.py", "from yaml import safe_load"),
         ("sweeps/store.py", "subprocess.run('ls', shell=True)"),
@@ -153,12 +155,12 @@ def test_a_wrong_source_is_refused(path: str, source: str) -> None:
     [
         ("jaxmpc/law/cascade.py", "from jaxmpc.law import scalar\nfrom collections.abc import Sequence"),
         (
-            "deploy/runtime.py",
-            "import numpy, can, json\nfrom deploy import record\nfrom jaxmpc.sealed import unseal",
+            "deploy/runtime/linear.py",
+            "import numpy, can, json\nfrom deploy import record\nfrom jaxmpc.files.sealed import unseal",
         ),
-        ("deploy/record.py", "exec(compile('1', '', 'exec'))"),
+        ("deploy/runtime/straightline.py", "exec(compile('1', '', 'exec'))"),
         ("jaxmpc/world/contact.py", "def f():\n    import jax"),
-        ("jaxmpc/cli/sweep.py", "from sweeps.run import run"),
+        ("sweeps/cli.py", "from sweeps.run import run"),
         ("sweeps/store.py", "import re\nre.compile('a')\nnp.load('f', allow_pickle=False)"),
     ],
 )

@@ -2,24 +2,24 @@
 
 from pathlib import Path
 
-from jaxmpc.precision import in_float64
+from jaxmpc.xla.precision import in_float64
+from tuning.job.result import TuneResult, judge
+from tuning.job.risk import Risk
+from tuning.job.scenarios import Scenarios
+from tuning.job.settings import TuneSettings
+from tuning.job.spec import TuneSpec
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.files import write
 from tuning.reports.text import report
-from tuning.result import TuneResult, judge
-from tuning.risk import Risk
-from tuning.scenarios import Scenarios
 from tuning.search.front import Front, pareto
-from tuning.search.ladder import climb
-from tuning.settings import Settings
-from tuning.spec import TuneSpec
+from tuning.search.multifidelity import run_levels
 
 __all__ = [
     "Front",
     "Risk",
     "Scenarios",
-    "Settings",
     "TuneResult",
+    "TuneSettings",
     "TuneSpec",
     "before_after_figure",
     "history_figure",
@@ -49,7 +49,7 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
-    result = judge(climb(spec, place, progress), progress)
+    result = judge(run_levels(spec, place, progress), progress)
     if place is not None:
         write(result, place)
     return result

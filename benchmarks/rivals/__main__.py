@@ -12,7 +12,7 @@ the evaluations that its wall-clock is worth. Compilation is left out, and repor
 import argparse
 from pathlib import Path
 
-from jaxmpc.cli.setup import use_all_cores
+from jaxmpc.terminal.process import use_all_cores
 
 REDUCED = Path(__file__).with_name("reduced.toml")
 EVALUATIONS, SEEDS = 2000, 5
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--spec", type=Path, default=REDUCED, help="job, as of `jaxmpc tune`; the reduced one")
     parser.add_argument("--experiment", help="a published experiment instead of the job's")
     args = parser.parse_args()
-    from jaxmpc.errors import InputError
+    from jaxmpc.files.errors import InputError
 
     use_all_cores()
     try:
@@ -45,7 +45,7 @@ def compare(out: Path, file: Path, experiment: str | None, seeds: int, evaluatio
     from benchmarks.rivals.report import picture, table
     from benchmarks.rivals.runs import GRADIENT, TEXTBOOK, names, run
     from jaxmpc import Experiment
-    from jaxmpc.sealed import digest, write_atomic
+    from jaxmpc.files.sealed import digest, write_atomic
     from tuning import TuneSpec
 
     spec = TuneSpec.from_toml(file)

@@ -13,10 +13,10 @@ from benchmarks.rivals.gradient import warmed_up
 from benchmarks.rivals.objective import BATCH, evaluator, mpc_aob, pi_control
 from benchmarks.rivals.room import vectors
 from benchmarks.sweep_throughput import machine
-from jaxmpc.errors import InputError
-from jaxmpc.sealed import write_atomic
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import write_atomic
+from tuning.job.spec import TuneSpec
 from tuning.objective.problem import problem_of, training
-from tuning.spec import TuneSpec
 
 REPEATS = 7
 SAME = 1e-9

@@ -1,4 +1,4 @@
-"""The tuner of this package under a stopwatch: its `climb` as it is, every look timed and counted."""
+"""The tuner of this package under a stopwatch: its `run_levels` as it is, every look timed and counted."""
 
 import time
 from collections.abc import Callable
@@ -9,10 +9,10 @@ import numpy as np
 
 from benchmarks.rivals.objective import LOST
 from benchmarks.rivals.record import Clock, Run, Spent
+from tuning.job.spec import TuneSpec
 from tuning.objective.loss import Values
 from tuning.objective.problem import Problem
-from tuning.search.ladder import climb
-from tuning.spec import TuneSpec
+from tuning.search.multifidelity import run_levels
 
 
 def tuned(spec: TuneSpec, cost_ratio: float, rate: float, steps: int) -> Run:
@@ -67,7 +67,7 @@ def tuned(spec: TuneSpec, cost_ratio: float, rate: float, steps: int) -> Run:
         mock.patch.object(Problem, "look", timed(Problem.look, cost_ratio)),
         mock.patch.object(Problem, "evaluate", timed(evaluated, 1.0)),
     ):
-        climb(spec)
+        run_levels(spec)
     own = clock.spent(0.0, 0.0).seconds - inside
     return Run(np.array(spent), np.array(least), *best[1:], own, starts, np.array(coarse))
 
@@ -80,5 +80,5 @@ def decides(problem: Problem, spec: TuneSpec) -> bool:
 def warmed_up(spec: TuneSpec) -> float:
     """Compile every program of the tuner, by climbing in as few steps as there can be; seconds that this takes."""
     began = time.perf_counter()
-    climb(msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, steps=1, mapping=2)))
+    run_levels(msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, steps=1, mapping=2)))
     return time.perf_counter() - began

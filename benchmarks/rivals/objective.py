@@ -18,14 +18,14 @@ from benchmarks.rivals import pi
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.world.contact import Contact
-from tuning.objective.designed import Data, Designed, Kind, designed, judged_contact
+from tuning.objective.designed import Data, Designed, ProblemStructure, designed, judged_contact
 from tuning.objective.loss import judge
 from tuning.objective.problem import Problem
-from tuning.objective.transforms import Space
+from tuning.objective.transforms import SearchSpace
 
 BATCH = 16
 """Controllers at a time: fewer take as long, more are no faster each (measured)."""
-Law = Callable[[Array, Data, Kind], Designed]
+Law = Callable[[Array, Data, ProblemStructure], Designed]
 """The controller that an unconstrained vector stands for."""
 LOST = 1e3
 """Loss of a controller whose runs left the finite numbers [-]."""
@@ -65,7 +65,7 @@ def evaluator(problem: Problem, law: Law, rows: int = BATCH) -> Callable[[np.nda
 
 
 @cache
-def _program(kind: Kind, law: Law) -> tuple[Callable[..., Seen], int]:
+def _program(kind: ProblemStructure, law: Law) -> tuple[Callable[..., Seen], int]:
     """Compiled once per kind and law, and on how many devices it runs."""
     spec: Any = PartitionSpec
 
@@ -79,12 +79,12 @@ def _program(kind: Kind, law: Law) -> tuple[Callable[..., Seen], int]:
     return program, mesh.size
 
 
-def mpc_aob(z: Array, data: Data, kind: Kind) -> Designed:
+def mpc_aob(z: Array, data: Data, kind: ProblemStructure) -> Designed:
     """The tuner's own controller; traceable."""
-    return designed(Space(data.base, kind.axes).decode(z, 1.0), data, 1.0, kind)
+    return designed(SearchSpace(data.base, kind.axes).decode(z, 1.0), data, 1.0, kind)
 
 
-def pi_control(z: Array, data: Data, kind: Kind) -> Designed:
+def pi_control(z: Array, data: Data, kind: ProblemStructure) -> Designed:
     """The PI controller with damping, in the same worlds and judged at the same margins; traceable."""
     scene, found = data.scene, pi.decode(z)
     gains = pi.gains(found, scene.T_s)
@@ -100,7 +100,7 @@ def pi_control(z: Array, data: Data, kind: Kind) -> Designed:
     return Designed(damped, gains, jax.vmap(contact)(scene.stiffness), jax.vmap(judge)(data.judged_at))
 
 
-def judged(controllers: Designed, data: Data, kind: Kind) -> Seen:
+def judged(controllers: Designed, data: Data, kind: ProblemStructure) -> Seen:
     """Loss of designed controllers, as the tuner has it; traceable."""
     found = judge(controllers, data, kind)
     worst = jnp.max(jnp.stack([jnp.max(found.margins.normalised, axis=(1, 2), initial=0.0), *found.hard]), axis=0)

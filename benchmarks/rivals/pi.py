@@ -18,8 +18,8 @@ from jaxtyping import Array, Float
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.law.cascade import Gains
-from jaxmpc.params import HP_MAX
-from tuning.objective.transforms import Axis
+from jaxmpc.synthesis.params import HP_MAX
+from tuning.objective.transforms import FreeParameter
 
 
 class Pi(NamedTuple):
@@ -33,7 +33,11 @@ class Pi(NamedTuple):
     """Damping of the tip velocity [1/s]."""
 
 
-AXES = (Axis("K_p", 1e-2, 1e2, 1.0, 0), Axis("T_i", 1e-3, 1e1, 1.0, 0), Axis("K2", 1.0, 300.0, 1.0, 0))
+AXES = (
+    FreeParameter("K_p", 1e-2, 1e2, 1.0, 0),
+    FreeParameter("T_i", 1e-3, 1e1, 1.0, 0),
+    FreeParameter("K2", 1.0, 300.0, 1.0, 0),
+)
 """The room in which it is tuned."""
 
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxmpc.errors import InputError
-from jaxmpc.sealed import SealError, seal, unseal, write_atomic
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
 
 KIND = "jaxmpc rival"
 

@@ -8,9 +8,9 @@ import numpy as np
 from benchmarks.rivals.costs import Costs
 from benchmarks.rivals.record import Run, Spent
 from benchmarks.rivals.runs import COARSE, GRADIENT, PI, TEXTBOOK, rivals
-from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
+from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
+from tuning.job.spec import TuneSpec
 from tuning.search.state import FEASIBLE
-from tuning.spec import TuneSpec
 
 Runs = Mapping[str, Sequence[Run]]
 """Per name, one per seed."""

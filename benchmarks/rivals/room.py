@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from tuning.objective.transforms import Axis
+from tuning.objective.transforms import FreeParameter
 
 
-def vectors(axes: Sequence[Axis], shares: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n size"]:
+def vectors(axes: Sequence[FreeParameter], shares: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n size"]:
     """The tuner's unconstrained vectors; the very ends are left out, as for its own starts."""
     columns = []
     for axis, share in _columns(axes, shares):
@@ -19,7 +19,7 @@ def vectors(axes: Sequence[Axis], shares: Float[np.ndarray, "n size"]) -> Float[
     return np.stack(columns, axis=1)
 
 
-def shares(axes: Sequence[Axis], z: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n size"]:
+def shares(axes: Sequence[FreeParameter], z: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n size"]:
     """The inverse of `vectors`."""
     columns = []
     for axis, column in _columns(axes, z):
@@ -30,6 +30,6 @@ def shares(axes: Sequence[Axis], z: Float[np.ndarray, "n size"]) -> Float[np.nda
     return np.stack(columns, axis=1)
 
 
-def _columns(axes: Sequence[Axis], rows: np.ndarray) -> Iterator[tuple[Axis, np.ndarray]]:
+def _columns(axes: Sequence[FreeParameter], rows: np.ndarray) -> Iterator[tuple[FreeParameter, np.ndarray]]:
     """Each axis with its column; every entry of a diagonal has one."""
     return zip([axis for axis in axes for _ in range(axis.size)], rows.T, strict=True)

@@ -9,8 +9,8 @@ from benchmarks.rivals.gradient import tuned
 from benchmarks.rivals.objective import evaluator, mpc_aob, pi_control
 from benchmarks.rivals.record import Clock, Run, Spent
 from benchmarks.rivals.search import TUNERS, search
+from tuning.job.spec import TuneSpec
 from tuning.objective.problem import problem_of, training
-from tuning.spec import TuneSpec
 
 GRADIENT, PI, TEXTBOOK, COARSE = "gradient", "PI, CMA-ES", "PI, textbook", " + coarse"
 

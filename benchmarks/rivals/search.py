@@ -12,7 +12,7 @@ from jaxtyping import Float
 from benchmarks.rivals.objective import BATCH, Seen
 from benchmarks.rivals.record import Clock, Run
 from benchmarks.rivals.room import shares, vectors
-from tuning.objective.transforms import EDGE, Axis
+from tuning.objective.transforms import EDGE, FreeParameter
 
 Points = Float[np.ndarray, "n size"]
 Losses = Float[np.ndarray, " n"]
@@ -116,7 +116,7 @@ TUNERS: dict[str, Callable[[int, int], Tuner]] = {"random": Random, "TPE": Tpe, 
 
 def search(
     tuner: Tuner,
-    axes: tuple[Axis, ...],
+    axes: tuple[FreeParameter, ...],
     evaluate: Callable[[np.ndarray], Seen],
     starts: np.ndarray,
     budget: int,

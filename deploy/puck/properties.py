@@ -7,7 +7,7 @@ so 65 to 67 already have the newest ones.
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
-from jaxmpc.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, nearest
 
 Kind = Literal["motor", "safety", "force", "monitor"]
 

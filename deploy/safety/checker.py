@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from enum import StrEnum
 from math import isfinite, sqrt
 
-from deploy.limits import Four, Limits
+from deploy.controller.limits import Four, Limits
 from deploy.puck.frame import Frame
 from deploy.safety.kinematics import kinematics
 from deploy.safety.reasons import Reason
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 
 PACKED, TORQUE, WIDTH = 0x401, 42, 14
 """Identifier of the packed torque, its property, bits of a value (wam.md §3.1–3.3)."""

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import NamedTuple
 
-from deploy.limits import Four, Limits
-from jaxmpc.errors import InputError
+from deploy.controller.limits import Four, Limits
+from jaxmpc.files.errors import InputError
 from jaxmpc.world.drive import N1, N2, N3, N4
 
 SLACK = 1e-9

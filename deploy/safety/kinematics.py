@@ -15,8 +15,8 @@ from functools import lru_cache
 from math import acos, cos, pi, sqrt
 from typing import Any, NamedTuple
 
-from deploy.record import functions, record
-from jaxmpc.errors import InputError
+from deploy.runtime.straightline import compile_straightline, functions
+from jaxmpc.files.errors import InputError
 
 OFFSET, UPPER_ARM = 0.045, 0.55
 """b and l above [m]."""
@@ -24,7 +24,7 @@ OFFSET, UPPER_ARM = 0.045, 0.55
 Vector = tuple[Any, ...]
 
 
-class Motion(NamedTuple):
+class TipMotion(NamedTuple):
     """Of the arm at an instant."""
 
     tip: tuple[float, float, float]
@@ -53,7 +53,7 @@ def tool_length_checked(tool_length: Any) -> float:
     return length
 
 
-def kinematics(tool_length: float) -> Callable[[Vector, Vector], Motion]:
+def kinematics(tool_length: float) -> Callable[[Vector, Vector], TipMotion]:
     """A function of joint angles [rad] and velocities [rad/s], four floats each, all finite.
 
     Args:
@@ -64,16 +64,16 @@ def kinematics(tool_length: float) -> Callable[[Vector, Vector], Motion]:
     """
     run = _recorded(tool_length_checked(tool_length))
 
-    def motion(q: Vector, qd: Vector) -> Motion:
+    def motion(q: Vector, qd: Vector) -> TipMotion:
         tip, tip_speed, elbow_speed, gram = run(q, qd)
-        return Motion(tip, tip_speed, elbow_speed, sqrt(max(least_eigenvalue(gram), 0.0)))
+        return TipMotion(tip, tip_speed, elbow_speed, sqrt(max(least_eigenvalue(gram), 0.0)))
 
     return motion
 
 
 @lru_cache(maxsize=4)
 def _recorded(length: float) -> Callable[[Vector, Vector], Any]:
-    return record(lambda q, qd: _motion(length, q, qd), ((0.0,) * 4, (0.0,) * 4)).function
+    return compile_straightline(lambda q, qd: _motion(length, q, qd), ((0.0,) * 4, (0.0,) * 4)).function
 
 
 def _motion(d: float, q: Vector, qd: Vector) -> Any:

@@ -23,7 +23,7 @@ BRAKES = frozenset({Reason.JOINT_VELOCITY, Reason.TIP_VELOCITY, Reason.ELBOW_VEL
 on into the tissue, with 29 N where braking leaves 9 N (a force 20 ms old, on a stiffening tissue)."""
 
 
-class State(StrEnum):
+class OperatingState(StrEnum):
     """Of the arm."""
 
     IDLE = "idle"
@@ -48,7 +48,7 @@ class Task(StrEnum):
     RETRACT = "retract"
 
 
-class Seen(NamedTuple):
+class Observations(NamedTuple):
     """What a cycle saw, as far as it may change the state."""
 
     hazard: Reason = Reason.NONE
@@ -75,10 +75,10 @@ class Seen(NamedTuple):
     """The operator, or the end of the experiment, asks to stop."""
 
 
-class Situation(NamedTuple):
-    """State, since when, and why."""
+class SafetyState(NamedTuple):
+    """OperatingState, since when, and why."""
 
-    state: State = State.IDLE
+    state: OperatingState = OperatingState.IDLE
     reason: Reason = Reason.NONE
     detail: str = ""
     cycles: int = 0
@@ -91,21 +91,21 @@ class Situation(NamedTuple):
     @property
     def over(self) -> bool:
         """Whether nothing leads on from here."""
-        return self.state in (State.STOPPED, State.FAULT)
+        return self.state in (OperatingState.STOPPED, OperatingState.FAULT)
 
 
 _TASKS = {
-    State.IDLE: Task.OFF,
-    State.ARMED: Task.HOLD,
-    State.APPROACH: Task.APPROACH,
-    State.CONTACT: Task.CONTROL,
-    State.RETRACT: Task.RETRACT,
-    State.STOPPED: Task.HOLD,
-    State.FAULT: Task.GRAVITY,
+    OperatingState.IDLE: Task.OFF,
+    OperatingState.ARMED: Task.HOLD,
+    OperatingState.APPROACH: Task.APPROACH,
+    OperatingState.CONTACT: Task.CONTROL,
+    OperatingState.RETRACT: Task.RETRACT,
+    OperatingState.STOPPED: Task.HOLD,
+    OperatingState.FAULT: Task.GRAVITY,
 }
 
 
-def step(now: Situation, seen: Seen) -> Situation:
+def step(now: SafetyState, seen: Observations) -> SafetyState:
     """The situation of a cycle.
 
     Args:
@@ -116,10 +116,10 @@ def step(now: Situation, seen: Seen) -> Situation:
     if state is now.state and reason is now.reason:
         return now._replace(cycles=now.cycles + 1, touched=now.touched + 1 if seen.touching else 0)
     detail = now.detail if reason is now.reason else seen.detail
-    return Situation(state, reason, detail, let_go=now.let_go or reason.lets_go)
+    return SafetyState(state, reason, detail, let_go=now.let_go or reason.lets_go)
 
 
-def task_of(now: Situation, position_age: int) -> Task:
+def task_of(now: SafetyState, position_age: int) -> Task:
     """What to do in a situation with positions of this age [cycles]."""
     if now.let_go or position_age > HELD:
         return Task.OFF
@@ -129,39 +129,39 @@ def task_of(now: Situation, position_age: int) -> Task:
     return Task.GRAVITY if position_age > BRIDGED and task is not Task.OFF else task
 
 
-def _next(now: Situation, seen: Seen) -> tuple[State, Reason]:
+def _next(now: SafetyState, seen: Observations) -> tuple[OperatingState, Reason]:
     state, reason = now.state, now.reason
     found = _gravest(seen)
-    if state is State.FAULT:
+    if state is OperatingState.FAULT:
         if reason is Reason.POSITION_LOST and seen.danger is Reason.LATE:
             return state, Reason.LATE  # they were not lost, as shows only now
         # Only what lets the arm go may replace a reason to hold it.
         return (state, found) if found.lets_go and not now.let_go else (state, reason)
-    if state is State.IDLE:
+    if state is OperatingState.IDLE:
         return (
-            (State.ARMED, Reason.NONE)
+            (OperatingState.ARMED, Reason.NONE)
             if seen.armed and found is Reason.NONE and seen.position_age == 0
             else (state, reason)
         )
     if found is not Reason.NONE:
-        return State.FAULT, found
+        return OperatingState.FAULT, found
     leave = seen.doubt if seen.doubt is not Reason.NONE else seen.finish
-    if state is State.ARMED:
+    if state is OperatingState.ARMED:
         if leave is not Reason.NONE:
-            return State.STOPPED, leave
-        return (State.APPROACH, reason) if seen.active and seen.start else (state, reason)
-    if state in (State.APPROACH, State.CONTACT) and leave is not Reason.NONE:
-        return State.RETRACT, leave
-    if state is State.APPROACH:
+            return OperatingState.STOPPED, leave
+        return (OperatingState.APPROACH, reason) if seen.active and seen.start else (state, reason)
+    if state in (OperatingState.APPROACH, OperatingState.CONTACT) and leave is not Reason.NONE:
+        return OperatingState.RETRACT, leave
+    if state is OperatingState.APPROACH:
         if seen.touching and now.touched + 1 >= TOUCHED:
-            return State.CONTACT, reason
-        return (State.RETRACT, Reason.NO_CONTACT) if seen.travelled else (state, reason)
-    if state is State.RETRACT and seen.travelled:
-        return State.STOPPED, reason
+            return OperatingState.CONTACT, reason
+        return (OperatingState.RETRACT, Reason.NO_CONTACT) if seen.travelled else (state, reason)
+    if state is OperatingState.RETRACT and seen.travelled:
+        return OperatingState.STOPPED, reason
     return state, reason
 
 
-def _gravest(seen: Seen) -> Reason:
+def _gravest(seen: Observations) -> Reason:
     """What makes a fault, if anything does."""
     if seen.hazard is not Reason.NONE:
         return seen.hazard

@@ -8,7 +8,7 @@ Faults are named as PX4 names them. What each can see, and what it cannot:
     slow                too many samples that repeat the one before
     wrong, sign flip    when it sets in: a jump of the force, or an innovation of the observer; an encoder's as a jump.
                         A scale or bias that was there from the start looks like another tissue: it is *not* seen. A
-                        wrong sign from the start shows at first contact, in the error of the force (`deploy.cycle`).
+                        wrong sign from the start shows at first contact, in the force error (`deploy.loop.cycle`).
     delayed             not seen as such; the loop it destabilises breaks a limit, or the innovation's
 
 Each threshold stands between the fastest that a tissue, a motor or an observer does and the smallest fault that it is
@@ -20,7 +20,7 @@ from itertools import pairwise
 from math import erf, isfinite, pi, sqrt
 from typing import NamedTuple
 
-from deploy.limits import MECHANICAL_STOPS, Four
+from deploy.controller.limits import MECHANICAL_STOPS, Four
 from deploy.safety.reasons import Reason
 
 Triple = tuple[float, float, float]

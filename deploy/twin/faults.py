@@ -34,7 +34,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxmpc.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, nearest
 
 _SENSOR = {
     "off": None,

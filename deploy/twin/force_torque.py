@@ -3,7 +3,7 @@
 import numpy as np
 
 from deploy.twin.device import READY, Device
-from deploy.twin.settings import Settings, Three
+from deploy.twin.settings import Three, TwinSettings
 
 VERSION = 24
 ROLE = 6
@@ -18,7 +18,7 @@ LARGEST = 127.99
 class ForceTorque(Device):
     """What the bus sees of the force."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: TwinSettings) -> None:
         values = {"FT": 0, "A": 0, "GRPA": 10, "GRPB": 10, "GRPC": 10, "TEMP": 30}
         super().__init__(8, "force", VERSION, ROLE, values, not settings.cold)
         self._mount, self._turns = np.array(settings.mount), settings.frame == "tool"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxmpc.world import heart, rhythm
+from jaxmpc.world.heart import harmonics, rhythm
 
 Point = tuple[float, float, float]
 BLOCK = 64
@@ -19,12 +19,12 @@ PUBLISHED: dict[str, dict[str, Any]] = {
     "cough": {"ventilation": "cough"},
     "amplitude-drift": {"random_phases": True, "amplitude_spread": 0.3, "drift": 0.002},
 }
-"""What sets each published experiment of `jaxmpc/experiments` apart, where it is not the rhythm of that name."""
+"""What sets each experiment of `jaxmpc/experiment/published` apart, where it is not the rhythm of that name."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The keys of `jaxmpc.world.motion.Motion` that `jaxmpc.world.rhythm` reads, without its file reader."""
+    """The keys of `jaxmpc.world.heart.motion.Motion` that its `rhythm` reads, without the file reader."""
 
     rhythm: str = "steady"
     seed: int = 0
@@ -43,7 +43,7 @@ class Motion:
     drift: float = 0.0
 
 
-class Heart:
+class TwinHeart:
     """Position and velocity of the heart's surface at successive instants."""
 
     def __init__(self, name: str, step: float, seed: int, scale: float, start: float, fade: float) -> None:
@@ -61,7 +61,7 @@ class Heart:
         self._displacement: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
         if name in ("none", "harmonics"):
             size = 0.0 if name == "none" else scale
-            self._displacement = lambda t: (heart.harmonic_motion(t, size), heart.harmonic_velocity(t, size))
+            self._displacement = lambda t: (harmonics.harmonic_motion(t, size), harmonics.harmonic_velocity(t, size))
         else:
             self._motion = Motion(seed=seed, **PUBLISHED.get(name, {"rhythm": name}))
             self._until, self._beats = HORIZON, rhythm.beats(_any(self._motion), HORIZON)
@@ -78,14 +78,14 @@ class Heart:
     def _computed(self, block: int) -> list[tuple[Point, Point]]:
         t = np.arange(block * BLOCK, (block + 1) * BLOCK) * self._step
         position, velocity = self._displacement(t)
-        grown = heart.fade_in(t, self._start, self._fade)[:, None]
-        growing = heart.fade_in_rate(t, self._start, self._fade)[:, None]
+        grown = harmonics.fade_in(t, self._start, self._fade)[:, None]
+        growing = harmonics.fade_in_rate(t, self._start, self._fade)[:, None]
         moving = grown * velocity + growing * position
         rows = zip((grown * position).tolist(), moving.tolist(), strict=True)
         return [((x[0], x[1], x[2]), (v[0], v[1], v[2])) for x, v in rows]
 
     def _rhythmic(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As `jaxmpc.world.motion` composes it: beat and breath, cough, factors of the axes, drift."""
+        """As `jaxmpc.world.heart.motion` composes it: beat and breath, cough, factors of the axes, drift."""
         motion = self._motion
         if t[-1] > self._until:
             self._until *= 2.0
@@ -93,11 +93,11 @@ class Heart:
         seed = motion.seed if motion.random_phases else None
         cardiac, cardiac_rate = rhythm.cardiac_phase(self._beats.onsets, t)
         gain, gain_slope = rhythm.beat_gain(self._beats.gain, cardiac)
-        beat, beat_slope = heart.heartbeat(cardiac, seed)
+        beat, beat_slope = harmonics.heartbeat(cardiac, seed)
         breath_phase, breath_rate = rhythm.respiratory_phase(_any(motion), t)
-        breath, breath_slope = heart.respiration(breath_phase, seed)
+        breath, breath_slope = harmonics.respiration(breath_phase, seed)
         cough, cough_rate = rhythm.cough(_any(motion), t)
-        direction = np.linalg.norm(heart.AMPLITUDES_MM[:, heart.RESPIRATION], axis=1)
+        direction = np.linalg.norm(harmonics.AMPLITUDES_MM[:, harmonics.RESPIRATION], axis=1)
         direction /= np.linalg.norm(direction)
         position = gain[:, None] * beat + breath + np.outer(cough, direction)
         beating = (gain_slope[:, None] * beat + gain[:, None] * beat_slope) * cardiac_rate[:, None]

@@ -16,7 +16,7 @@ from deploy.puck.frame import Frame
 from deploy.twin.twin import MILLISECOND, Twin
 
 
-class Clock:
+class LockstepClock:
     """The twin's time [ns], from 0 on; it and not the computer decides what is late."""
 
     def __init__(self, twin: Twin, every_tick: Callable[[Twin], None] | None = None) -> None:
@@ -73,7 +73,7 @@ class Clock:
 class LockstepBus(can.BusABC):
     """A bus of python-can's kind at the twin."""
 
-    def __init__(self, clock: Clock, can_filters: Any = None) -> None:
+    def __init__(self, clock: LockstepClock, can_filters: Any = None) -> None:
         """Connect to the robot of a clock."""
         self.clock, self.channel_info = clock, "the twin, in lock-step"
         self.arrived: deque[tuple[int, Frame]] = deque()

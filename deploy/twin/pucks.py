@@ -3,7 +3,7 @@
 import math
 
 from deploy.twin.device import ERROR, READY, Device
-from deploy.twin.settings import Settings
+from deploy.twin.settings import TwinSettings
 
 VERSION = 200
 """VERS: numbering of the newest firmware."""
@@ -17,7 +17,7 @@ _TURN = 2.0 * math.pi
 class Puck(Device):
     """One of the four; node 1 has PIDX 1 and drives motor 1."""
 
-    def __init__(self, node: int, settings: Settings) -> None:
+    def __init__(self, node: int, settings: TwinSettings) -> None:
         values = {
             **{"TEMP": 31, "PTEMP": 33, "OTEMP": 60, "VBUS": 48, "VLOGIC": 48, "IMOTOR": 0, "T": 0, "P": 0, "V": 0},
             **{"GRPA": 0, "GRPB": 1, "GRPC": 4, "MT": int(settings.max_torque[node - 1]), "CTS": settings.counts},

@@ -10,10 +10,10 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
+from deploy.twin.compiled import joint_angles
 from deploy.twin.device import Device
-from deploy.twin.settings import Settings
-from deploy.twin.straight import joint_angles
-from jaxmpc.errors import InputError, nearest
+from deploy.twin.settings import TwinSettings
+from jaxmpc.files.errors import InputError, nearest
 
 VERSION = 200
 ESTOP, IDLE, ACTIVE = 0, 1, 2
@@ -34,7 +34,7 @@ _DIGITS = (0x3F, 0x06, 0x5B, 0x4F, 0x66, 0x6D)
 class SafetyModule(Device):
     """The board with its pendant."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: TwinSettings) -> None:
         values = {
             **{"ZERO": 0 if settings.cold else 1, "PEN": 0, "SAFE": 0, "VL1": 2048, "VL2": 4096, "TL1": 4731},
             **{"TL2": 5204, "VOLTL1": 36, "VOLTL2": 30, "VOLTH1": 54, "VOLTH2": 57, "PWR": 30, "MAXPWR": 600},

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from jaxmpc.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.world import drive, friction, tissue
 from jaxmpc.world.arm import TOOL_MASS
 
@@ -31,7 +31,7 @@ HOME: Four = (0.0, -2.0, 0.0, 3.13)
 
 
 @dataclass(frozen=True)
-class Settings:
+class TwinSettings:
     """Plain data; everything random is drawn from `seed`."""
 
     stiffness: float = 810.0

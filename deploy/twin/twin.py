@@ -11,15 +11,15 @@ import numpy as np
 
 from deploy.puck import codec
 from deploy.puck.frame import Frame
+from deploy.twin.bus_timing import BusTiming
+from deploy.twin.compiled import motor_angles
 from deploy.twin.device import RESET, Device
 from deploy.twin.faults import ENCODERS, NOT_FINITE, Distortion, Fault, parse
 from deploy.twin.force_torque import ForceTorque
 from deploy.twin.pucks import TORQUE, Puck
 from deploy.twin.safety_module import ESTOP, IDLE, SafetyModule
-from deploy.twin.settings import Four, Settings, Three
-from deploy.twin.straight import motor_angles
-from deploy.twin.wire import Wire
-from deploy.twin.world import Truth, World
+from deploy.twin.settings import Four, Three, TwinSettings
+from deploy.twin.world import Truth, TwinPhysics
 
 MILLISECOND = 1_000_000
 """[ns]"""
@@ -37,17 +37,17 @@ class Twin:
         counters: How many frames came, went, were lost; and what a host did that it must not do.
     """
 
-    def __init__(self, settings: Settings | None = None) -> None:
+    def __init__(self, settings: TwinSettings | None = None) -> None:
         """Switch it on.
 
         Raises:
             InputError: A fault's text is wrong.
         """
-        self.settings = settings or Settings()
+        self.settings = settings or TwinSettings()
         self.faults = tuple(parse(text) for text in self.settings.faults)
         self.counters: Counter[str] = Counter()
         self.tick = 0
-        self.world = World(self.settings)
+        self.world = TwinPhysics(self.settings)
         self.pucks = tuple(Puck(node, self.settings) for node in codec.PUCKS)
         self.safety = SafetyModule(self.settings)
         self.sensor = ForceTorque(self.settings)
@@ -55,7 +55,7 @@ class Twin:
         random = [np.random.default_rng([self.settings.seed, 2, i]) for i in range(7)]
         self._encoders = [Distortion(joint, self.faults, random[i]) for i, joint in enumerate(ENCODERS)]
         self._force_faults = Distortion("force", self.faults, random[4])
-        self._wire, self._random = Wire(self.settings.bit_rate, self.faults, random[5]), random[6]
+        self._wire, self._random = BusTiming(self.settings.bit_rate, self.faults, random[5]), random[6]
         self._mode, self._babbled = self.safety.mode, 0.0
         self._events = sorted((f for f in self.faults if _is_event(f)), key=lambda f: f.start)
         self._babble = [f for f in self.faults if f.target == "bus" and f.word == "babble"]

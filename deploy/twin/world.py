@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deploy.twin.gauge import Gauge
-from deploy.twin.heart import Heart
-from deploy.twin.settings import HOME, Four, Settings, Three
-from deploy.twin.straight import friction_step, joint_torques
-from deploy.twin.touch import Touch
+from deploy.twin.compiled import friction_step, joint_torques
+from deploy.twin.contact import TwinContact
+from deploy.twin.force_sensor_model import ForceSensorModel
+from deploy.twin.heart import TwinHeart
+from deploy.twin.settings import HOME, Four, Three, TwinSettings
 from jaxmpc.world import drive, friction
 from jaxmpc.world.arm import mjcf, tip_at
 
@@ -55,10 +55,10 @@ class Truth(NamedTuple):
     touching: bool
 
 
-class World:
+class TwinPhysics:
     """Everything but electronics."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: TwinSettings) -> None:
         import mujoco
 
         self._settings, self._mujoco = settings, mujoco
@@ -74,11 +74,11 @@ class World:
         self._low, self._high = (tuple(row) for row in self._model.jnt_range.T.tolist())
         self._rub = friction_step(settings, self._h)
         moving = settings.rhythm, self._h, settings.seed, settings.scale, settings.start, settings.fade
-        self._heart = Heart(*moving)
-        self._touch = Touch(settings, _three(tip_at(settings.posture)))
+        self._heart = TwinHeart(*moving)
+        self._touch = TwinContact(settings, _three(tip_at(settings.posture)))
         self.posture = _raised(settings.posture, settings.gap)
         """Joint angles above the heart [rad]."""
-        self._gauge = Gauge(settings)
+        self._gauge = ForceSensorModel(settings)
         self._instant = 0
         self._acting: Four = (0.0, 0.0, 0.0, 0.0)
         self._pending = deque([self._acting] * settings.delay)
@@ -179,7 +179,7 @@ class World:
         self._measured = self._gauge.read(self._force, self._speed)
 
 
-def _model(settings: Settings) -> Any:
+def _model(settings: TwinSettings) -> Any:
     """The arm of the MJCF alone: the heart is a force, and shapes are for the eye."""
     import mujoco
 

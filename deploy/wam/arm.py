@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from deploy.bus import MOST_AT_ONCE, Bus
+from deploy.bus.bus import MOST_AT_ONCE, Bus
 from deploy.force.sensor import ForceSensor, Triple
 from deploy.puck import properties
 from deploy.puck.codec import (
@@ -61,7 +61,7 @@ class Reading(NamedTuple):
     other: tuple[PropertyReply, ...]
 
 
-class Arm:
+class WamArm:
     """A started arm; `deploy.wam.startup.startup` makes it.
 
     In a cycle come `request`, `collect`, then the torques. Replies do not say which question they answer, so what is

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Final, Protocol
 
-from deploy.bus import Bus
+from deploy.bus.bus import Bus
 from deploy.errors import BusError
 from deploy.puck.codec import Position, PropertyReply, decode, get, set_value
 from deploy.puck.frame import Frame

@@ -8,7 +8,7 @@ from typing import Any, Final
 from deploy.errors import CalibrationError
 from deploy.puck import properties
 from deploy.puck.codec import LARGEST_TORQUE, Units
-from deploy.record import record
+from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law.scalar import apply, apply_transposed
 from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 
@@ -111,7 +111,7 @@ class Pucks:
             return apply_transposed(JOINT_TO_MOTOR, tuple(n / scale for n, scale in zip(units, ipnm, strict=True)))
 
         for name, function in (("_angles", angles), ("_units", units), ("_torque", torque)):
-            object.__setattr__(self, name, record(function, ((0.0,) * 4,)).function)
+            object.__setattr__(self, name, compile_straightline(function, ((0.0,) * 4,)).function)
 
     @property
     def nodes(self) -> tuple[int, ...]:

@@ -8,14 +8,14 @@ from functools import partial
 from math import floor, pi
 from typing import Final
 
-from deploy.bus import Bus
+from deploy.bus.bus import Bus
+from deploy.controller.limits import MECHANICAL_STOPS
 from deploy.errors import BusError, CalibrationError
 from deploy.force.sensor import ForceSensor
-from deploy.limits import MECHANICAL_STOPS
 from deploy.puck import properties
 from deploy.puck.codec import GROUPS, PUCKS, SAFETY_MODULE, SENSOR, get
 from deploy.puck.pendant import decode_pendant
-from deploy.wam.arm import Arm
+from deploy.wam.arm import WamArm
 from deploy.wam.dialogue import NS, Clock, Dialogue
 from deploy.wam.pucks import Four, PuckInfo, Pucks
 from jaxmpc.law.scalar import apply
@@ -41,7 +41,7 @@ def startup(
     zero_angles: Sequence[float] | None = None,
     patience_s: float = 0.0,
     report: Callable[[str], None] = lambda sentence: None,
-) -> Arm:
+) -> WamArm:
     """Wake the pucks, read what they are, and make sure that the arm knows where it is.
 
     Args:
@@ -120,7 +120,7 @@ def startup(
         raise BusError("somebody else commands on this bus: stop the other program, then start again")
     bus.listen_to((*PUCKS, *asked, SAFETY_MODULE))
     report(f"started: firmware {', '.join(str(info.version) for info in pucks.infos)}, IPNM {pucks.ipnm}")
-    return Arm(bus, pucks, sensor, counts_now, safety_version)
+    return WamArm(bus, pucks, sensor, counts_now, safety_version)
 
 
 def _enumerate(talk: Dialogue) -> dict[int, int]:

@@ -1,4 +1,4 @@
-"""The command line: one verb a module, loaded only when it is used."""
+"""The command line: a table of verbs, each a module that is imported when it is called."""
 
 import argparse
 import os
@@ -6,22 +6,42 @@ import select
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from typing import NamedTuple
 
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
+
+
+class Verb(NamedTuple):
+    """A verb of the command line."""
+
+    module: str
+    """Where its `configure(parser)` and `run(args)` are; imported when it is called."""
+    text: str
+    """What it is for, in one line."""
+
 
 VERBS = {
-    "demo": "the whole story in one go: paper → sweep → tune → freeze → replay, with pictures",
-    "simulate": "one experiment: table, margins, figures",
-    "sweep": "many controllers over a set of stiffnesses; run it again to resume; `sweep report` shows it",
-    "tune": "gradient autotuning, worst case over stiffness, margins held",
-    "trials": "random trials of a controller on the arm: how often does it become unstable?",
-    "freeze": "parameters → a sealed controller for the robot",
-    "identify": "joint friction and mass error of the arm from a recording of its own motion",
-    "check": "replay a frozen controller's golden trace, print its limits and margins",
-    "doctor": "is this machine, its bus and its clock fit to run a controller?",
-    "twin": "a simulated WAM with pendant, force sensor and beating heart that speaks the arm's CAN protocol",
-    "run": "drive the arm with a frozen controller, over CAN or against the twin",
-    "replay": "a flight recording through the frozen controller once more: where do they part?",
+    "demo": Verb("jaxmpc.cli.demo", "the whole story in one go: paper → sweep → tune → freeze → replay, with pictures"),
+    "simulate": Verb("jaxmpc.cli.simulate", "one experiment: table, margins, figures"),
+    "sweep": Verb(
+        "sweeps.cli", "many controllers over a set of stiffnesses; run it again to resume; `sweep report` shows it"
+    ),
+    "tune": Verb("tuning.cli", "gradient autotuning, worst case over stiffness, margins held"),
+    "trials": Verb("tuning.trials.cli", "random trials of a controller on the arm: how often does it become unstable?"),
+    "freeze": Verb("jaxmpc.cli.freeze", "parameters → a sealed controller for the robot"),
+    "identify": Verb(
+        "jaxmpc.cli.identify", "joint friction and mass error of the arm from a recording of its own motion"
+    ),
+    "check": Verb("deploy.cli.check", "replay a frozen controller's golden trace, print its limits and margins"),
+    "doctor": Verb("deploy.cli.doctor", "is this machine, its bus and its clock fit to run a controller?"),
+    "twin": Verb(
+        "deploy.twin.cli",
+        "a simulated WAM with pendant, force sensor and beating heart that speaks the arm's CAN protocol",
+    ),
+    "run": Verb("deploy.cli.run", "drive the arm with a frozen controller, over CAN or against the twin"),
+    "replay": Verb(
+        "jaxmpc.cli.replay", "a flight recording through the frozen controller once more: where do they part?"
+    ),
 }
 
 
@@ -40,10 +60,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--version", action="version", version=_version())
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     chosen = next((word for word in argv if not word.startswith("-")), None)
-    for verb, text in VERBS.items():
-        subparser = subparsers.add_parser(verb, help=text, description=text[0].upper() + text[1:] + ".")
-        if verb == chosen:
-            module = import_module(f"jaxmpc.cli.{verb}")
+    for name, verb in VERBS.items():
+        subparser = subparsers.add_parser(name, help=verb.text, description=verb.text[0].upper() + verb.text[1:] + ".")
+        if name == chosen:
+            module = import_module(verb.module)
             module.configure(subparser)
     args = parser.parse_args(argv)
     try:

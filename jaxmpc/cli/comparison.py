@@ -4,13 +4,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxmpc.cli.tables import number
-from jaxmpc.errors import InputError
 from jaxmpc.experiment import AXES, Experiment
+from jaxmpc.files.errors import InputError
+from jaxmpc.terminal.tables import number
 
 if TYPE_CHECKING:
     from jaxmpc.evaluation import Outcome
-    from jaxmpc.params import Params
+    from jaxmpc.synthesis.params import Params
 
 TABLE_1 = {
     375.0: ((0.39, 0.08), (0.34, 0.06), (0.51, 0.09)),
@@ -65,7 +65,7 @@ def parts(params: "Params") -> dict[str, "Params"]:
     """
     from dataclasses import replace
 
-    from jaxmpc.params import Params
+    from jaxmpc.synthesis.params import Params
 
     if params.architecture != "mpc-aob":
         remedy = "Leave --compare out, or give a cascade."

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxmpc.params import Params
     from jaxmpc.stability import Margins
+    from jaxmpc.synthesis.params import Params
     from sweeps.result import Result
     from tuning import TuneResult
 
@@ -26,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Tell the story; 1 when the tuner met no goals or the frozen controller is not the tuned one."""
-    from jaxmpc.cli.setup import use_all_cores
+    from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
     from jaxmpc import Params
@@ -68,7 +68,7 @@ def _example(folder: Path, name: str) -> Path:
 
 def _paper(text: "Params", printed: "Params") -> None:
     from jaxmpc import Experiment, Params, evaluate
-    from jaxmpc.cli.tables import RESIDUAL_HEADER, residual_rows, show
+    from jaxmpc.terminal.tables import RESIDUAL_HEADER, residual_rows, show
 
     experiment = Experiment.published("table-1")
     outcome = evaluate(Params.stack([text, printed]), experiment, trace=True)
@@ -112,7 +112,7 @@ def _before_after(folder: Path, text: "Params", tuned: "TuneResult") -> tuple[fl
     import numpy as np
 
     from jaxmpc import Experiment, Params, Status, evaluate
-    from jaxmpc.cli.pictures import before_after_figure
+    from jaxmpc.pictures.experiment_figures import before_after_figure
 
     experiment = Experiment.published("table-1-wam").with_seed(UNSEEN_SEED)
     outcome = evaluate(Params.stack([text, tuned.params]), experiment, trace=True)
@@ -132,8 +132,8 @@ def _before_after(folder: Path, text: "Params", tuned: "TuneResult") -> tuple[fl
 
 
 def _freeze_and_replay(folder: Path, params: "Params") -> bool:
-    from deploy.artifact import load
-    from deploy.runtime import replay
+    from deploy.controller.artifact import load
+    from deploy.runtime.linear import replay
     from jaxmpc import Experiment
     from jaxmpc.cli.freeze import freeze_controller
 
@@ -149,7 +149,7 @@ def _freeze_and_replay(folder: Path, params: "Params") -> bool:
 def _summary(folder: Path, swept: "Result", tuned: "TuneResult", arm: tuple[float, float], seconds: float) -> None:
     import numpy as np
 
-    from jaxmpc.cli.tables import number, show
+    from jaxmpc.terminal.tables import number, show
 
     ideal, as_run = tuned.margins["ideal"], tuned.margins["as run"]
     before, after = tuned.worst
@@ -182,7 +182,7 @@ def _summary(folder: Path, swept: "Result", tuned: "TuneResult", arm: tuple[floa
 def _worst(ideal: "Margins", as_run: "Margins", which: int) -> list[str]:
     import numpy as np
 
-    from jaxmpc.cli.tables import number
+    from jaxmpc.terminal.tables import number
 
     def least(name: str, digits: int, scale: float = 1.0) -> str:
         return number(scale * np.min(np.asarray(getattr(ideal, name))[which]), digits)

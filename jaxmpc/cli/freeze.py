@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-    from deploy.artifact import Artifact
+    from deploy.controller.artifact import Artifact
     from jaxmpc.experiment import Experiment
     from jaxmpc.law.cascade import Gains
-    from jaxmpc.law.guard import Guard
-    from jaxmpc.params import Params
+    from jaxmpc.law.gain_backoff import GainBackoff
     from jaxmpc.stability import Margins
+    from jaxmpc.synthesis.params import Params
 
 STIFFNESSES = 33
 """Between the softest and the hardest tissue, log-spaced, besides the experiment's own."""
@@ -45,8 +45,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Design, judge, freeze; an unstable controller or one below its floor is refused with exit code 2."""
-    from jaxmpc.cli.arguments import experiment_from, params_from
-    from jaxmpc.cli.setup import use_all_cores
+    from jaxmpc.terminal.arguments import experiment_from, params_from
+    from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
     given = {
@@ -78,7 +78,7 @@ def freeze_controller(
     ideal: bool,
     limits: Path | None = None,
 ) -> "Artifact":
-    """Connect design, margins and simulation to the robot-side `deploy.freeze`, which takes plain data.
+    """Connect design, margins and simulation to the robot-side `deploy.controller.freeze`, which takes plain data.
 
     Args:
         path: Where to.
@@ -93,12 +93,12 @@ def freeze_controller(
         InputError: The controller is unstable or below its floor, a limit is wrong, or it is guarded without an arm,
             where nothing would guard it; nothing has been written.
     """
-    from deploy.floor import check, plain_floor
-    from deploy.freeze import freeze
+    from deploy.controller.freeze import freeze
+    from deploy.controller.margin_floor import check, plain_floor
     from jaxmpc import __version__, design
-    from jaxmpc.errors import InputError
-    from jaxmpc.golden import law_trace, simulated_run
-    from jaxmpc.sealed import digest
+    from jaxmpc.export.golden import law_trace, simulated_run
+    from jaxmpc.files.errors import InputError
+    from jaxmpc.files.sealed import digest
 
     on_arm = experiment.physics != "linear"
     if limits is not None and not on_arm:
@@ -143,7 +143,7 @@ def _rows(params: "Params", experiment: "Experiment", ideal: bool) -> list[dict[
     import numpy as np
 
     from jaxmpc import Params, margins
-    from jaxmpc.errors import InputError
+    from jaxmpc.files.errors import InputError
 
     between = np.geomspace(min(experiment.stiffness), max(experiment.stiffness), STIFFNESSES)
     stiffness = np.unique([*experiment.stiffness, *between])
@@ -166,12 +166,12 @@ def _margins_on_the_arm(batch: "Params", experiment: "Experiment", stiffness: "n
     import jax
     import numpy as np
 
-    from jaxmpc.engine.once import JitOnce
+    from jaxmpc.engine.scene import scenario_data
     from jaxmpc.evaluation import designed, judged
-    from jaxmpc.precision import in_float64
-    from jaxmpc.scene import scene_of
+    from jaxmpc.xla.once import JitOnce
+    from jaxmpc.xla.precision import in_float64
 
-    scene = scene_of(experiment)._replace(stiffness=stiffness)
+    scene = scenario_data(experiment)._replace(stiffness=stiffness)
     judge = JitOnce(lambda params: judged(designed(params, scene, ideal=False), ideal=False))
     found: Margins = jax.tree.map(lambda leaf: np.asarray(leaf)[0], in_float64(judge)(batch))
     return found
@@ -179,8 +179,8 @@ def _margins_on_the_arm(batch: "Params", experiment: "Experiment", stiffness: "n
 
 def _believed(experiment: "Experiment", limits: Path | None) -> dict[str, Any]:
     """What the controller is to believe of the experiment's arm, and the limits there."""
-    from deploy.arm_model import ROBOT
-    from jaxmpc.arm_settings import robot_of
+    from deploy.controller.arm_model import ROBOT
+    from jaxmpc.experiment.tables import robot_of
     from jaxmpc.world.arm import chain
 
     robot, arm = robot_of(experiment), chain()
@@ -199,9 +199,9 @@ def _believed(experiment: "Experiment", limits: Path | None) -> dict[str, Any]:
 
 def _limits(tip: Sequence[float], path: Path | None) -> dict[str, Any]:
     """The default limits around the tip, with those of a TOML file instead."""
-    from deploy.limits import Limits
-    from jaxmpc.errors import InputError, nearest
-    from jaxmpc.spec import located, read_toml
+    from deploy.controller.limits import Limits
+    from jaxmpc.files.errors import InputError, nearest
+    from jaxmpc.files.toml import located, read_toml
 
     default = Limits.default(tip).plain()
     if path is None:
@@ -218,7 +218,7 @@ def _arm_trace(
     params: "Params", experiment: "Experiment", gains: "Gains", arm: dict[str, Any]
 ) -> tuple["np.ndarray", "np.ndarray", "np.ndarray"]:
     """Force, wanted force and commands of the golden trace; its angles and torques go to the arm's table."""
-    from jaxmpc.golden import ArmRun, arm_law_trace, simulated_arm_runs
+    from jaxmpc.export.golden import ArmRun, arm_law_trace, simulated_arm_runs
 
     middle = len(experiment.stiffness) // 2
     (found,) = simulated_arm_runs(params, experiment, experiment.stiffness[middle : middle + 1])
@@ -230,7 +230,7 @@ def _arm_trace(
     return run.force, run.force_ref, answer.v
 
 
-def _swing(guard: "Guard", T_s: float, samples: int) -> "np.ndarray":
+def _swing(guard: "GainBackoff", T_s: float, samples: int) -> "np.ndarray":
     """A swing beyond the guard's limit, the same on each axis, shape (samples, 1) [N]."""
     import numpy as np
 

@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
-    from jaxmpc.identification import Estimate, Identification
+    from jaxmpc.identify.identification import FrictionEstimate, Identification
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -22,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Identify, print, write, draw."""
-    from jaxmpc.identification import identify, read_recording, write
+    from jaxmpc.identify.identification import identify, read_recording, write
 
     if args.figure and args.figure.suffix not in SUFFIXES:
         raise InputError("--figure", str(args.figure), f"a file ending in {', '.join(SUFFIXES)}", "Rename it.")
@@ -41,9 +41,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show(found: "Identification") -> None:
-    from jaxmpc.cli.tables import show
+    from jaxmpc.terminal.tables import show
 
-    def cell(estimate: "Estimate", joint: int, factor: float = 1.0) -> str:
+    def cell(estimate: "FrictionEstimate", joint: int, factor: float = 1.0) -> str:
         return f"{factor * estimate.value[joint]:.3f} ± {factor * estimate.error[joint]:.3f}"
 
     rows = [
@@ -64,7 +64,7 @@ def _show(found: "Identification") -> None:
 
 
 def _draw(path: Path, found: "Identification") -> None:
-    from jaxmpc.figures import BASELINE, TUNED, figure
+    from jaxmpc.pictures.figures import BASELINE, TUNED, figure
 
     with figure(path, rows=2, columns=2, size=(8.0, 6.0)) as axes:
         for joint, panel in enumerate(axes.flat):

@@ -6,14 +6,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from deploy.artifact import Artifact
-    from deploy.recorder import Recording
-    from deploy.replay import Inputs
+    from deploy.controller.artifact import Artifact
+    from deploy.flight.recorder import FlightRecording
+    from deploy.flight.replay import Inputs
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -32,9 +32,9 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: The recording or the controller is not what it must be, or they do not belong together.
     """
-    from deploy.artifact import ArtifactError, load
-    from deploy.recorder import RecordingError, read
-    from deploy.replay import compare, inputs_of, table, through_runtime
+    from deploy.controller.artifact import ArtifactError, load
+    from deploy.flight.recorder import RecordingError, read
+    from deploy.flight.replay import compare, inputs_of, table, through_runtime
 
     if not 0.0 < args.tolerance < 1.0:
         raise InputError("--tolerance", args.tolerance, "in (0, 1)", "Rounding stays below 1e-12.")
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     return 1 if parted else 0
 
 
-def _introduce(recording: "Recording", inputs: "Inputs") -> None:
+def _introduce(recording: "FlightRecording", inputs: "Inputs") -> None:
     """Print what the file holds."""
     header = recording.header
     length = f"{len(inputs.time)} samples"
@@ -90,7 +90,7 @@ def _introduce(recording: "Recording", inputs: "Inputs") -> None:
 def _through_jax(inputs: "Inputs", artifact: "Artifact") -> dict[str, "np.ndarray"]:
     import numpy as np
 
-    from jaxmpc.flight import Flown, law_over
+    from jaxmpc.export.replay import RecordedInputs, replay_law
     from jaxmpc.law.cascade import constant_reference
 
     arm = artifact.arm
@@ -104,16 +104,18 @@ def _through_jax(inputs: "Inputs", artifact: "Artifact") -> dict[str, "np.ndarra
     q, qd, wanted, applied, before = numbers
     gains = artifact.gains if artifact.preview else constant_reference(artifact.gains)
     states = inputs.contact, inputs.enters, inputs.servo
-    flown = Flown(q, qd, inputs.force, wanted, applied, before, *states, inputs.gain)
-    found = law_over(arm.chain, arm.nominal, arm.posture, gains, artifact.K2, arm.compensated, flown)
+    flown = RecordedInputs(q, qd, inputs.force, wanted, applied, before, *states, inputs.gain)
+    found = replay_law(arm.chain, arm.nominal, arm.posture, gains, artifact.K2, arm.compensated, flown)
     return {name: np.where(inputs.contact[:, None], values, np.nan) for name, values in found.items()}
 
 
-def _draw(path: Path, recording: "Recording", inputs: "Inputs", again: dict[str, dict[str, "np.ndarray"]]) -> None:
+def _draw(
+    path: Path, recording: "FlightRecording", inputs: "Inputs", again: dict[str, dict[str, "np.ndarray"]]
+) -> None:
     """What flew and what was computed anew, one plot a signal."""
     from matplotlib.figure import Figure
 
-    from deploy.replay import COMPARED
+    from deploy.flight.replay import COMPARED
 
     figure = Figure(figsize=(9.0, 2.0 * len(COMPARED)), layout="constrained")
     for axes, (signal, unit) in zip(figure.subplots(len(COMPARED), 1, sharex=True), COMPARED.items(), strict=True):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from jaxmpc.evaluation import Outcome
     from jaxmpc.experiment import Experiment
-    from jaxmpc.params import Params
+    from jaxmpc.synthesis.params import Params
 
 PATIENCE = 2.0
 """How long a run is silent [s]."""
@@ -35,13 +35,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, print, draw; 1 when a stiffness did not end OK."""
-    from jaxmpc.cli.arguments import experiment_from, params_from
-    from jaxmpc.cli.setup import use_all_cores
+    from jaxmpc.terminal.arguments import experiment_from, params_from
+    from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
     from jaxmpc import Status
     from jaxmpc.cli import comparison
-    from jaxmpc.cli.film import check_film, film
+    from jaxmpc.pictures.film import check_film, film
 
     params, experiment = params_from(args.params), _with_physics(experiment_from(args.experiment), args.physics)
     folder: Path = args.output or Path("runs") / experiment.name
@@ -104,7 +104,7 @@ def without_motion(experiment: "Experiment") -> "Experiment":
     """The same with the Heartbox off; it differs in data alone, so the program of the first run serves it."""
     from msgspec.structs import replace
 
-    from jaxmpc.world.motion import Motion
+    from jaxmpc.world.heart.motion import Motion
 
     return replace(experiment, motion=Motion(kind="none"))
 
@@ -113,7 +113,7 @@ def _with_physics(experiment: "Experiment", physics: str | None) -> "Experiment"
     """In another physics, under a name of its own so that neither run writes over the other."""
     from msgspec.structs import replace
 
-    from jaxmpc.scene import with_physics
+    from jaxmpc.engine.scene import with_physics
 
     if physics in (None, experiment.physics):
         return experiment
@@ -132,7 +132,7 @@ def _tables(label: str, outcome: "Outcome", compared: dict[str, "Outcome"], expe
     import numpy as np
 
     from jaxmpc.cli import comparison
-    from jaxmpc.cli.tables import RESIDUAL_HEADER, residual_rows, show
+    from jaxmpc.terminal.tables import RESIDUAL_HEADER, residual_rows, show
 
     rows = residual_rows(label, outcome, experiment)
     for name, other in compared.items():
@@ -150,8 +150,8 @@ def _tables(label: str, outcome: "Outcome", compared: dict[str, "Outcome"], expe
 
 def _figures(folder: Path, experiment: "Experiment", outcome: "Outcome", still: "Outcome") -> int | None:
     """Draw what ended well nearest the middle stiffness; its row, or None where nothing did."""
-    from jaxmpc.cli.pictures import experiment_figure, row_to_draw, spectrum_figure
-    from jaxmpc.cli.tables import show
+    from jaxmpc.pictures.experiment_figures import experiment_figure, row_to_draw, spectrum_figure
+    from jaxmpc.terminal.tables import show
 
     row = row_to_draw(outcome, still)
     if row is None:

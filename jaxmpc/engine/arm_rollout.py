@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmpc.engine import ops
 from jaxmpc.engine.rollout import STRETCH
-from jaxmpc.engine.sharing import sharing
 from jaxmpc.law import cascade, force_control
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
 from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, nothing
-from jaxmpc.world import drive as drives
+from jaxmpc.world import drive
 from jaxmpc.world import robot as world
-from jaxmpc.world.robot import Heart, Kind, Robot
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
+from jaxmpc.xla import ops
+from jaxmpc.xla.cse import sharing
 
 
 class ArmSignals(NamedTuple):
@@ -73,11 +73,11 @@ class Trouble(NamedTuple):
     lost_contact: Any
 
 
-class Carry(NamedTuple):
+class ArmCarry(NamedTuple):
     """State of the whole loop between two samples."""
 
-    controller: force_control.State
-    robot: world.State
+    controller: force_control.ControllerState
+    robot: world.RobotState
     a: Any
     """Accelerations asked at the last sample [m/s²]."""
     trouble: Trouble
@@ -96,22 +96,22 @@ class Program(NamedTuple):
     """What the program is built from; hashable."""
 
     chain: Chain
-    kind: Kind
+    kind: RobotStructure
     accelerate: Callable[..., Any]
     highest_force: float
 
 
-def start(program: Program, cell: Cell) -> Carry:
+def start(program: Program, cell: Cell) -> ArmCarry:
     """The loop at rest: the tip touches without force."""
     zero = 0.0 * cell.K2
     state = world.init(program.chain, program.kind, cell.robot, zero, ops)
     never = Trouble(zero + jnp.inf, zero + jnp.inf)
     resting = state.drive.angle if program.kind.compensated else None
     controller = force_control.init(zero, cascade.order(cell.gains), resting, cell.gains.guard is not None)
-    return Carry(controller, state, (zero, zero, zero), never)
+    return ArmCarry(controller, state, (zero, zero, zero), never)
 
 
-def advance(program: Program, cell: Cell, carry: Carry, now: ArmSignals) -> tuple[Carry, ArmSample]:
+def advance(program: Program, cell: Cell, carry: ArmCarry, now: ArmSignals) -> tuple[ArmCarry, ArmSample]:
     """One sample of the closed loop."""
     chain, kind = program.chain, program.kind
     tissue = cell.robot.tissue
@@ -132,7 +132,7 @@ def advance(program: Program, cell: Cell, carry: Carry, now: ArmSignals) -> tupl
         wanted,
         ops,
     )
-    held, sent = drives.command(robot.drive, command.torque.torque, ops)
+    held, sent = drive.command(robot.drive, command.torque.torque, ops)
     controller = force_control.applied(controller, command, held)
     following = world.move(chain, kind, robot, state, sent, tuple(map(_heart, now.between)), program.accelerate, ops)
     gain = 1.0 + 0.0 * cell.K2 if controller.guard is None else controller.guard.gain
@@ -154,7 +154,7 @@ def advance(program: Program, cell: Cell, carry: Carry, now: ArmSignals) -> tupl
         _first(carry.trouble.diverged, ~(largest < program.highest_force), now.time),
         _first(carry.trouble.lost_contact, (indented < 0.0) & (now.watch > 0.0), now.time),
     )
-    return Carry(controller, following, command.a, trouble), sample
+    return ArmCarry(controller, following, command.a, trouble), sample
 
 
 def run(program: Program, cell: Cell, signals: ArmSignals, traced: bool) -> tuple[Metrics, Trouble, ArmSample | None]:
@@ -170,7 +170,7 @@ def run(program: Program, cell: Cell, signals: ArmSignals, traced: bool) -> tupl
         padded = jnp.pad(signal, [(0, full - steps)] + [(0, 0)] * (signal.ndim - 1), mode="edge")
         return padded.reshape(-1, STRETCH, *signal.shape[1:])
 
-    def one(state: tuple[Carry, Any], now: ArmSignals) -> tuple[tuple[Carry, Any], ArmSample | None]:
+    def one(state: tuple[ArmCarry, Any], now: ArmSignals) -> tuple[tuple[ArmCarry, Any], ArmSample | None]:
         carry, totals = state
         opaque = 1.0 + 0.0 * now.time.ravel()[0]
         following, sample = sharing(partial(advance, program), opaque)(cell, carry, now)
@@ -180,7 +180,7 @@ def run(program: Program, cell: Cell, signals: ArmSignals, traced: bool) -> tupl
         )
         return (following, totals), sample if traced else None
 
-    def stretch(state: tuple[Carry, Any], part: ArmSignals) -> tuple[tuple[Carry, Any], ArmSample | None]:
+    def stretch(state: tuple[ArmCarry, Any], part: ArmSignals) -> tuple[tuple[ArmCarry, Any], ArmSample | None]:
         carry, totals = state
         (carry, partial), samples = jax.lax.scan(jax.checkpoint(one), (carry, empty), part)
         return (carry, tuple(map(merge, totals, partial))), samples
@@ -197,8 +197,8 @@ def run(program: Program, cell: Cell, signals: ArmSignals, traced: bool) -> tupl
     return per_axis, carry.trouble, samples
 
 
-def _heart(values: Array) -> Heart:
-    return Heart(tuple(values[0]), tuple(values[1]))
+def _heart(values: Array) -> HeartSample:
+    return HeartSample(tuple(values[0]), tuple(values[1]))
 
 
 def _first(when: Any, happens: Any, time: Any) -> Any:

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmpc.engine import ops
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
 from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, nothing
 from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact
+from jaxmpc.xla import ops
 
 Scalar = Float[Array, ""]
 
@@ -53,10 +53,10 @@ class Sample(NamedTuple):
     """Tip position [m]."""
 
 
-class Carry(NamedTuple):
+class LinearCarry(NamedTuple):
     """State of the whole loop between two samples."""
 
-    controller: cascade.ControllerState
+    controller: cascade.AxisState
     contact: world.ContactState
 
 
@@ -69,13 +69,15 @@ def scalars(gains: Gains, preview: bool) -> Gains:
     return summed
 
 
-def start(gains: Gains) -> Carry:
+def start(gains: Gains) -> LinearCarry:
     """The loop at rest: the tip touches without force."""
     zero = jnp.zeros_like(gains.mpc_u)
-    return Carry(cascade.init(zero, cascade.order(gains)), world.init(zero))
+    return LinearCarry(cascade.init(zero, cascade.order(gains)), world.init(zero))
 
 
-def advance(gains: Gains, contact: Contact, lsb: Scalar, carry: Carry, signals: AxisSignals) -> tuple[Carry, Sample]:
+def advance(
+    gains: Gains, contact: Contact, lsb: Scalar, carry: LinearCarry, signals: AxisSignals
+) -> tuple[LinearCarry, Sample]:
     """One sample of the closed loop.
 
     Args:
@@ -93,7 +95,7 @@ def advance(gains: Gains, contact: Contact, lsb: Scalar, carry: Carry, signals: 
     tip = state.x
     state, a = world.move(contact, state, v, signals.acceleration)
     sample = Sample(force, signals.force_ref, controller.u, v, a, controller.p_hat, tip)
-    return Carry(controller, state), sample
+    return LinearCarry(controller, state), sample
 
 
 def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> tuple[Metrics, Scalar]:
@@ -109,7 +111,7 @@ def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> tu
         padded = jnp.pad(signal, [(0, full - steps)] + [(0, 0)] * (signal.ndim - 1))
         return padded.reshape(-1, STRETCH, *signal.shape[1:])
 
-    def one(state: tuple[Carry, Totals], now: AxisSignals) -> tuple[tuple[Carry, Totals], None]:
+    def one(state: tuple[LinearCarry, Totals], now: AxisSignals) -> tuple[tuple[LinearCarry, Totals], None]:
         carry, totals = state
         following, sample = advance(gains, contact, lsb, carry, now)
         error, before = sample.force - now.force_ref[0], carry.contact.pending[0]
@@ -117,7 +119,7 @@ def run(gains: Gains, contact: Contact, lsb: Scalar, signals: AxisSignals) -> tu
         return (following, totals), None
 
     @jax.checkpoint
-    def stretch(state: tuple[Carry, Totals], part: AxisSignals) -> tuple[tuple[Carry, Totals], Any]:
+    def stretch(state: tuple[LinearCarry, Totals], part: AxisSignals) -> tuple[tuple[LinearCarry, Totals], Any]:
         carry, totals = state
         (carry, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, empty), part)
         return (carry, merge(totals, partial)), ~(partial.highest_force < HIGHEST_FORCE)

@@ -20,7 +20,7 @@ Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxmpc.law.guard import Guard
+from jaxmpc.law.gain_backoff import GainBackoff
 
 Scalar = Any
 """A float, a traced JAX scalar, a batch of either, or a recorded operation."""
@@ -51,11 +51,11 @@ class Gains(NamedTuple):
     """MPC feedback of the estimated force [-] and force rate [s], shape (2,)."""
     mpc_u: Scalar
     """MPC feedback of the previous output [-]."""
-    guard: Guard | None = None
+    guard: GainBackoff | None = None
     """What takes the gain back while the force swings; None takes none."""
 
 
-class ControllerState(NamedTuple):
+class AxisState(NamedTuple):
     """What one axis remembers between two samples."""
 
     x_hat: tuple[Scalar, Scalar, Scalar]
@@ -75,14 +75,14 @@ def order(gains: Gains) -> int:
     return len(gains.K) - 3
 
 
-def init(force: Scalar = 0.0, order: int = 1) -> ControllerState:
+def init(force: Scalar = 0.0, order: int = 1) -> AxisState:
     """State at rest in contact with a measured force [N]: no rate, no disturbance, no command."""
     zero = 0.0 * force
-    return ControllerState((force, zero, zero), zero, force, zero, (zero,) * (order - 1))
+    return AxisState((force, zero, zero), zero, force, zero, (zero,) * (order - 1))
 
 
 def estimate(
-    gains: Gains, state: ControllerState, force: Scalar
+    gains: Gains, state: AxisState, force: Scalar
 ) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar, tuple[Scalar, ...]]:
     """Active observer: predict with the command that was applied, correct with the measured force [N]."""
     (phi_12, phi_22), (gamma_1, gamma_2) = gains.phi, gains.gamma
@@ -102,9 +102,7 @@ def estimate(
     return x_hat, p_hat, tuple(trend)
 
 
-def step(
-    gains: Gains, state: ControllerState, force: Scalar, force_ref: Sequence[Scalar]
-) -> tuple[ControllerState, Scalar]:
+def step(gains: Gains, state: AxisState, force: Scalar, force_ref: Sequence[Scalar]) -> tuple[AxisState, Scalar]:
     """Advance one axis by one sample.
 
     Args:
@@ -122,7 +120,7 @@ def step(
     for weight, wanted in zip(gains.mpc_ref, force_ref, strict=True):
         u = u + weight * wanted
     v = gains.input_gain * u - gains.L[0] * x_hat[0] - gains.L[1] * x_hat[1] - gains.L[2] * x_hat[2] - p_hat
-    return ControllerState(x_hat, p_hat, u, v, trend), v
+    return AxisState(x_hat, p_hat, u, v, trend), v
 
 
 def with_gain(gains: Gains, gain: Scalar) -> Gains:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from jaxmpc.law import chain as arm
 from jaxmpc.law.chain import Chain
-from jaxmpc.law.compensation import Believed
+from jaxmpc.law.friction_compensation import NominalFriction
 from jaxmpc.law.scalar import (
     Matrix,
     Scalar,
@@ -41,11 +41,11 @@ class Nominal(NamedTuple):
     """Mass and inertia of links and tool, as a share of the true ones [-]."""
     tool_error: Scalar
     """Point mass at the tip that is believed but not there [kg]."""
-    friction: Believed
+    friction: NominalFriction
     """What is cancelled of the joints' friction, if any."""
 
 
-class Torque(NamedTuple):
+class JointTorque(NamedTuple):
     """Torques, and what is needed to say what a changed torque means at the tip."""
 
     torque: Vector
@@ -70,7 +70,7 @@ def torque(
     force: Vector,
     friction: Vector,
     ops: Any,
-) -> Torque:
+) -> JointTorque:
     """Joint torques for a wanted acceleration of the tip.
 
     Args:
@@ -102,9 +102,9 @@ def torque(
     w = sub(sub(a, found.drift), apply(J, posture_acceleration))
     at_the_tip = add(solve_ldl(factor_ldl(mobility), w), force)
     tau = add(add(apply(mass, posture_acceleration), bias), apply_transposed(J, at_the_tip))
-    return Torque(add(tau, friction), J, factors)
+    return JointTorque(add(tau, friction), J, factors)
 
 
-def acceleration_of(found: Torque, change: Vector) -> Vector:
+def acceleration_of(found: JointTorque, change: Vector) -> Vector:
     """Acceleration of the tip [m/s²] that a change of the joint torques [N m] makes, on the nominal model."""
     return apply(found.jacobian, solve_ldl(found.factors, change))

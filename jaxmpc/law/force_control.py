@@ -8,32 +8,31 @@ and, if wanted, what a nominal model says of the joints' friction on top of τ.
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxmpc.law import cascade, compensation, computed_torque
-from jaxmpc.law import guard as guards
-from jaxmpc.law.cascade import ControllerState, Gains
+from jaxmpc.law import cascade, computed_torque, friction_compensation, gain_backoff
+from jaxmpc.law.cascade import AxisState, Gains
 from jaxmpc.law.chain import Chain
-from jaxmpc.law.compensation import Bristles
-from jaxmpc.law.computed_torque import Nominal, Torque
+from jaxmpc.law.computed_torque import JointTorque, Nominal
+from jaxmpc.law.friction_compensation import Bristles
 from jaxmpc.law.scalar import Scalar, Vector, add, scale, sub
 
 NO_FRICTION = (0.0, 0.0, 0.0, 0.0)
 
 
-class State(NamedTuple):
+class ControllerState(NamedTuple):
     """What the controller remembers between two samples."""
 
-    axes: tuple[ControllerState, ControllerState, ControllerState]
+    axes: tuple[AxisState, AxisState, AxisState]
     """Cascades of X, Y, Z."""
     bristles: Bristles | None
     """Of the friction that is cancelled; None cancels none."""
-    guard: guards.State | None = None
+    guard: gain_backoff.BackoffState | None = None
     """Of what takes the gain back; None takes none."""
 
 
 class Command(NamedTuple):
     """What the controller wants at one sample."""
 
-    torque: Torque
+    torque: JointTorque
     """Joint torques, with what it takes to judge a change of them."""
     v: Vector
     """Commands of the cascades, X, Y, Z [m/s²]."""
@@ -41,7 +40,7 @@ class Command(NamedTuple):
     """Accelerations asked of the tip, v − K₂ẋ [m/s²]."""
 
 
-def init(force: Scalar = 0.0, order: int = 1, angle: Vector | None = None, guarded: bool = False) -> State:
+def init(force: Scalar = 0.0, order: int = 1, angle: Vector | None = None, guarded: bool = False) -> ControllerState:
     """At rest.
 
     Args:
@@ -51,8 +50,8 @@ def init(force: Scalar = 0.0, order: int = 1, angle: Vector | None = None, guard
         guarded: Whether the gain is taken back while the force swings.
     """
     axis = cascade.init(force, order)
-    guard = guards.init(0.0 * force) if guarded else None
-    return State((axis, axis, axis), None if angle is None else compensation.init(angle), guard)
+    guard = gain_backoff.init(0.0 * force) if guarded else None
+    return ControllerState((axis, axis, axis), None if angle is None else friction_compensation.init(angle), guard)
 
 
 def step(
@@ -61,13 +60,13 @@ def step(
     posture: Vector,
     gains: Gains,
     K2: Scalar,
-    state: State,
+    state: ControllerState,
     q: Vector,
     qd: Vector,
     force: Vector,
     force_ref: Sequence[Sequence[Scalar]],
     ops: Any,
-) -> tuple[State, Command]:
+) -> tuple[ControllerState, Command]:
     """Advance the controller by one sample.
 
     Args:
@@ -85,20 +84,20 @@ def step(
     """
     guard = state.guard
     if gains.guard is not None and guard is not None:
-        guard = guards.step(gains.guard, guard, sub(force, tuple(wanted[0] for wanted in force_ref)))
+        guard = gain_backoff.step(gains.guard, guard, sub(force, tuple(wanted[0] for wanted in force_ref)))
         gains = cascade.with_gain(gains, guard.gain)
     stepped = [cascade.step(gains, *axis) for axis in zip(state.axes, force, force_ref, strict=True)]
     v = tuple(command for _, command in stepped)
     a = sub(v, scale(K2, computed_torque.tip_velocity(chain, q, qd, ops)))
     bristles, friction = state.bristles, NO_FRICTION
     if bristles is not None:
-        bristles, friction = compensation.step(nominal.friction, bristles, q, qd, ops)
+        bristles, friction = friction_compensation.step(nominal.friction, bristles, q, qd, ops)
     found = computed_torque.torque(chain, nominal, posture, q, qd, a, force, friction, ops)
     x, y, z = (following for following, _ in stepped)
-    return State((x, y, z), bristles, guard), Command(found, v, a)
+    return ControllerState((x, y, z), bristles, guard), Command(found, v, a)
 
 
-def applied(state: State, command: Command, clamped: Vector) -> State:
+def applied(state: ControllerState, command: Command, clamped: Vector) -> ControllerState:
     """Tell the observers what was really applied (anti-windup).
 
     Args:

@@ -11,17 +11,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxmpc.engine.once import JitOnce
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains
-from jaxmpc.params import Params, Timing
-from jaxmpc.precision import in_float64
 from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.stability.response import loop_response
 from jaxmpc.status import Status
 from jaxmpc.synthesis import design_one, over_batch
+from jaxmpc.synthesis.params import Params, Timing
 from jaxmpc.world.contact import Contact, hertz
+from jaxmpc.xla.once import JitOnce
+from jaxmpc.xla.precision import in_float64
 
 ILL_POSED_ABOVE = 1e-6
 """Relative Riccati residual beyond which a design does not count; a good one has 1e-15."""

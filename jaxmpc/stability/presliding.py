@@ -21,19 +21,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxmpc.engine.once import JitOnce
 from jaxmpc.law import cascade
 from jaxmpc.law import chain as arm
 from jaxmpc.law.cascade import Gains
-from jaxmpc.params import Params, Timing
-from jaxmpc.precision import in_float64
 from jaxmpc.stability.crossings import LOWEST, POINTS
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, contact_of, spectral_radius
 from jaxmpc.stability.response import controller_response, tip_response
 from jaxmpc.stability.search import peak
 from jaxmpc.synthesis import design_one
+from jaxmpc.synthesis.params import Params, Timing
 from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact, hertz
+from jaxmpc.xla.once import JitOnce
+from jaxmpc.xla.precision import in_float64
 
 if TYPE_CHECKING:
     from jaxmpc.experiment import Experiment
@@ -47,7 +47,7 @@ def presliding_frequencies(experiment: "Experiment") -> Float[np.ndarray, "3"]:
     Args:
         experiment: Its arm, in its resting posture.
     """
-    from jaxmpc.arm_settings import robot_of
+    from jaxmpc.experiment.tables import robot_of
     from jaxmpc.world.arm import chain
 
     robot = robot_of(experiment)

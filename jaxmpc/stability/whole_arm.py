@@ -15,26 +15,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxmpc.arm_settings import kind_of, robot_on_its_tissue
-from jaxmpc.engine import arm_rollout as rollout
-from jaxmpc.engine.once import JitOnce
-from jaxmpc.errors import InputError
+from jaxmpc.engine import arm_rollout
 from jaxmpc.experiment import Experiment
+from jaxmpc.experiment.tables import kind_of, robot_on_its_tissue
+from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
-from jaxmpc.params import Params
-from jaxmpc.precision import in_float64
 from jaxmpc.synthesis import design_one
+from jaxmpc.synthesis.params import Params
 from jaxmpc.world import arm, friction
 from jaxmpc.world import robot as world
-from jaxmpc.world.robot import Kind, Robot
+from jaxmpc.world.robot import Robot, RobotStructure
+from jaxmpc.xla.once import JitOnce
+from jaxmpc.xla.precision import in_float64
 
 ROUNDING = 1e-9
 """How far above 1 a spectral radius must lie to count: far more than eigenvalues near 1 are rounded by [-]."""
 _NONE = (0.0, 0.0, 0.0, 0.0)
 
 
-def whole_arm_matrix(chain: Chain, kind: Kind, robot: Robot, gains: Gains, K2: Any) -> Float[Array, "n n"]:
+def whole_arm_matrix(chain: Chain, kind: RobotStructure, robot: Robot, gains: Gains, K2: Any) -> Float[Array, "n n"]:
     """Transition matrix of controller and arm together; traceable, and so for batches of robots and controllers.
 
     Linearised at rest in the posture, touching without force; a tissue is taken to be attached, and has the stiffness
@@ -48,9 +48,9 @@ def whole_arm_matrix(chain: Chain, kind: Kind, robot: Robot, gains: Gains, K2: A
         K2: Its damping [1/s].
     """
     gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
-    program = rollout.Program(chain, kind._replace(attached=True), world.accelerate, float("inf"))
-    cell = rollout.Cell(gains, jnp.asarray(K2, float), _smooth(robot))
-    begin, quiet = rollout.start(program, cell), _quiet(kind.substeps)
+    program = arm_rollout.Program(chain, kind._replace(attached=True), world.accelerate, float("inf"))
+    cell = arm_rollout.Cell(gains, jnp.asarray(K2, float), _smooth(robot))
+    begin, quiet = arm_rollout.start(program, cell), _quiet(kind.substeps)
     flat, restore = jax.flatten_util.ravel_pytree((begin.controller, begin.robot))
 
     def advance(vector: Array) -> Array:
@@ -58,7 +58,7 @@ def whole_arm_matrix(chain: Chain, kind: Kind, robot: Robot, gains: Gains, K2: A
         # An active state without gain (MPC alone) stays at its start, zero: it is no mode of the loop.
         axes = (a._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, a.p_hat)) for a in controller.axes)
         carry = begin._replace(controller=controller._replace(axes=tuple(axes)), robot=state)
-        following, _ = rollout.advance(program, cell, carry, quiet)
+        following, _ = arm_rollout.advance(program, cell, carry, quiet)
         # Bristles without force are no mode either.
         settled = following.robot._replace(bristles=friction.init(0.0 * following.robot.q[0]))
         return jax.flatten_util.ravel_pytree((following.controller, settled))[0]
@@ -111,7 +111,7 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
     return found
 
 
-def _matrices(params: Params, robots: Robot, T_s: Any, kind: Kind) -> Float[Array, "robots n n"]:
+def _matrices(params: Params, robots: Robot, T_s: Any, kind: RobotStructure) -> Float[Array, "robots n n"]:
     gains, _ = design_one(params, T_s)
     return jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, params.K2))(robots)
 
@@ -130,9 +130,9 @@ def _smooth(robot: Robot) -> Robot:
     )
 
 
-def _quiet(substeps: int) -> rollout.ArmSignals:
+def _quiet(substeps: int) -> arm_rollout.ArmSignals:
     """A sample at which nothing happens."""
     heart, axes, off = jnp.zeros((2, 3)), jnp.zeros(3), jnp.zeros(())
-    return rollout.ArmSignals(
+    return arm_rollout.ArmSignals(
         heart, jnp.zeros((substeps, 2, 3)), axes, jnp.zeros((3, 1)), axes, jnp.ones(()), watch=off, time=off
     )

@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmpc.law import guard as guards
+from jaxmpc.law import gain_backoff
 from jaxmpc.law.cascade import Gains
-from jaxmpc.params import HP_MAX, HU_MAX, Params, Timing
-from jaxmpc.precision import in_float64
 from jaxmpc.synthesis.feedback import state_feedback
 from jaxmpc.synthesis.kalman import active_observer_gain, input_noise_gain
 from jaxmpc.synthesis.mpc import first_move
+from jaxmpc.synthesis.params import HP_MAX, HU_MAX, Params, Timing
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
+from jaxmpc.xla.precision import in_float64
 
 
 def design_one(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[Gains, Float[Array, ""]]:
@@ -37,7 +37,7 @@ def design_one(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[Gains, 
     phi = jnp.stack([Phi[0, 1], Phi[1, 1]])
     zero, one = jnp.zeros_like(p.T_cl), jnp.ones_like(p.T_cl)
 
-    guard = guards.guard(jnp.asarray(T_s), jnp) if p.guarded else None
+    guard = gain_backoff.constants(jnp.asarray(T_s), jnp) if p.guarded else None
 
     if p.architecture == "mpc":
         delayed = jnp.block([[Phi, Gamma[:, None]], [jnp.zeros((1, 3))]])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 from jaxmpc.law.chain import Chain, Link, mass_matrix, pose, tip
 from jaxmpc.law.scalar import Matrix, Vector
 

@@ -13,7 +13,7 @@ Source: Dahl, The Aerospace Corporation TOR-0158(3107-18)-1, 1968, with exponent
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxmpc.law.compensation import bristle
+from jaxmpc.law.friction_compensation import bristle
 
 Scalar = Any
 """A float, a traced JAX scalar, a batch of either, or a recorded operation."""

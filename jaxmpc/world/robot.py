@@ -40,7 +40,7 @@ Accelerate = Callable[..., Vector]
 """Like `accelerate` below."""
 
 
-class Kind(NamedTuple):
+class RobotStructure(NamedTuple):
     """What changes the program and not only its data."""
 
     tissue: str = "elastic"
@@ -75,7 +75,7 @@ class Robot(NamedTuple):
     cable: Cable
     tool_mass: Scalar
     """Point mass at the tip beyond the MJCF's tool [kg]."""
-    sensor: sensors.Sensor
+    sensor: sensors.SensorModel
     tissue: tissues.Tissue
     nominal: Nominal
     posture: Vector
@@ -86,7 +86,7 @@ class Robot(NamedTuple):
     """0 for a delay of one sample, 1 for two."""
 
 
-class Heart(NamedTuple):
+class HeartSample(NamedTuple):
     """The heart's surface at an instant."""
 
     position: Vector
@@ -95,7 +95,7 @@ class Heart(NamedTuple):
     """[m/s]"""
 
 
-class State(NamedTuple):
+class RobotState(NamedTuple):
     """What the world remembers between two samples."""
 
     q: Vector
@@ -142,7 +142,7 @@ def factored(
     return factor_ldl(arm.with_diagonal(found.mass, diagonal)), rest
 
 
-def init(chain: Chain, kind: Kind, robot: Robot, like: Scalar, ops: Any) -> State:
+def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Any) -> RobotState:
     """The arm at rest in its posture, held against gravity, touching without force; numbers in the form of `like`."""
     zero = 0.0 * like
     four = (zero,) * 4
@@ -153,7 +153,7 @@ def init(chain: Chain, kind: Kind, robot: Robot, like: Scalar, ops: Any) -> Stat
         wound = tuple(torque / spring for torque, spring in zip(held, robot.cable.stiffness, strict=True))
         motor = (add(robot.posture, wound), four)
     start = motor[0] if kind.cable else robot.posture
-    return State(
+    return RobotState(
         add(robot.posture, four),
         four,
         motor,
@@ -166,8 +166,8 @@ def init(chain: Chain, kind: Kind, robot: Robot, like: Scalar, ops: Any) -> Stat
 
 
 def sense(
-    chain: Chain, kind: Kind, robot: Robot, state: State, heart: Heart, noise: Vector, ops: Any
-) -> tuple[Vector, Vector, State]:
+    chain: Chain, kind: RobotStructure, robot: Robot, state: RobotState, heart: HeartSample, noise: Vector, ops: Any
+) -> tuple[Vector, Vector, RobotState]:
     """What the controller reads at a sample.
 
     Args:
@@ -201,14 +201,14 @@ def sense(
 
 def move(
     chain: Chain,
-    kind: Kind,
+    kind: RobotStructure,
     robot: Robot,
-    state: State,
+    state: RobotState,
     torque: Vector,
-    hearts: Sequence[Heart],
+    hearts: Sequence[HeartSample],
     advance: Accelerate,
     ops: Any,
-) -> State:
+) -> RobotState:
     """Take torques sent at this sample and advance to the next.
 
     Args:
@@ -230,14 +230,14 @@ def move(
 
 def _substep(
     chain: Chain,
-    kind: Kind,
+    kind: RobotStructure,
     robot: Robot,
-    state: State,
+    state: RobotState,
     torque: Vector,
-    heart: Heart,
+    heart: HeartSample,
     advance: Accelerate,
     ops: Any,
-) -> State:
+) -> RobotState:
     h = robot.drive.T_s / kind.substeps
     leapfrog = kind.integrator == "leapfrog"
     lead = 0.5 * h if leapfrog else 0.0

@@ -6,7 +6,7 @@ from jaxmpc.law.scalar import Scalar, Vector, add, scale, sub
 from jaxmpc.world.contact import quantise
 
 
-class Sensor(NamedTuple):
+class SensorModel(NamedTuple):
     """Constants; each scalar may be a batch."""
 
     pole: Scalar
@@ -37,7 +37,7 @@ def init(kalman: bool, tool_inertia: bool, zero: Scalar) -> SensorState:
 
 
 def read(
-    sensor: Sensor, state: SensorState, true: Vector, velocity: Vector, noise: Vector, T_s: Scalar, ops: Any
+    sensor: SensorModel, state: SensorState, true: Vector, velocity: Vector, noise: Vector, T_s: Scalar, ops: Any
 ) -> tuple[Vector, SensorState]:
     """Measured force at a sample [N], and the filters moved on.
 
@@ -66,7 +66,9 @@ def read(
     return measured, SensorState(force, filtered, remembered)
 
 
-def _kalman(sensor: Sensor, filtered: tuple[Vector, Vector], measured: Vector, T_s: Scalar) -> tuple[Vector, Vector]:
+def _kalman(
+    sensor: SensorModel, filtered: tuple[Vector, Vector], measured: Vector, T_s: Scalar
+) -> tuple[Vector, Vector]:
     """Force and force rate by a steady Kalman filter whose model is a constant rate."""
     predicted = add(filtered[0], scale(T_s, filtered[1]))
     innovation = sub(measured, predicted)

@@ -65,11 +65,11 @@ class TissueState(NamedTuple):
     """Dashpot of the slow branch, X, Y, Z [m]."""
 
 
-State = TissueState | tuple[()]
+TissueMemory = TissueState | tuple[()]
 """Laws without memory carry an empty tuple."""
 
 
-def init(kind: str, like: Scalar = 0.0) -> State:
+def init(kind: str, like: Scalar = 0.0) -> TissueMemory:
     """State of a tissue at rest, its numbers in the form of `like`.
 
     Args:
@@ -81,7 +81,13 @@ def init(kind: str, like: Scalar = 0.0) -> State:
 
 
 def force(
-    kind: str, attached: bool, tissue: Tissue, state: State, d: Sequence[Scalar], ddot: Sequence[Scalar], ops: Any
+    kind: str,
+    attached: bool,
+    tissue: Tissue,
+    state: TissueMemory,
+    d: Sequence[Scalar],
+    ddot: Sequence[Scalar],
+    ops: Any,
 ) -> Axes:
     """Force on the tissue; the robot feels its opposite.
 
@@ -126,12 +132,12 @@ def relax(
     kind: str,
     attached: bool,
     tissue: Tissue,
-    state: State,
+    state: TissueMemory,
     d: Sequence[Scalar],
     ddot: Sequence[Scalar],
     h: Scalar,
     ops: Any,
-) -> State:
+) -> TissueMemory:
     """State advanced by h, exact on a steady ramp and otherwise second order, stable at any h.
 
     With q = h / τ and e⁻q ≈ 1 / (1 + q + q²/2), for a tissue displaced from r₀ to r₁ meanwhile:
@@ -181,7 +187,7 @@ def _touching(value: Scalar, width: Scalar, ops: Any) -> tuple[Scalar, Scalar]:
     return r * rise, rise * (2.0 - u)
 
 
-def _linear(kind: str, tissue: Tissue, state: State, axis: int, d: Scalar, ddot: Scalar) -> Scalar:
+def _linear(kind: str, tissue: Tissue, state: TissueMemory, axis: int, d: Scalar, ddot: Scalar) -> Scalar:
     if kind == "kelvin-voigt":
         return tissue.stiffness * d + tissue.viscosity * ddot
     if kind == "standard-linear":

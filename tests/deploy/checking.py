@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from deploy.limits import Limits
+from deploy.controller.limits import Limits
 from deploy.puck.frame import Frame
 from deploy.safety.kinematics import kinematics
 

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from deploy.arm_model import ROBOT, ArmModel, published_tip
-from deploy.artifact import Artifact
-from deploy.limits import Limits
-from jaxmpc.law import cascade, force_control
-from jaxmpc.law import guard as guards
+from deploy.controller.arm_model import ROBOT, ArmModel, published_tip
+from deploy.controller.artifact import Artifact
+from deploy.controller.limits import Limits
+from jaxmpc.law import cascade, force_control, gain_backoff
 from jaxmpc.law.chain import Chain, Link
-from jaxmpc.law.compensation import Believed
 from jaxmpc.law.computed_torque import Nominal
+from jaxmpc.law.friction_compensation import NominalFriction
 
 K_HAT, K2, T_S = 900.0, 10.0, 1e-3
 POSTURE = (0.0, 0.7, 0.0, 2.2)
@@ -25,7 +24,7 @@ TOOL, TOOL_MASS, TOOL_INERTIA = 0.36, 0.3, (7e-5, 7e-5, 6e-5)
 """Tip beyond the elbow's axis [m]; mass there [kg] and its own inertia [kg m²]."""
 VELOCITY_CUTOFF = 180.0
 SWING_HZ, SWINGING = 40.0, 800
-SWING = 2.0 * guards.LIMIT * math.sqrt(2.0 / 3.0)
+SWING = 2.0 * gain_backoff.LIMIT * math.sqrt(2.0 / 3.0)
 """Of each axis' force, where a guarded controller is to feel it, in the first samples: together twice its limit [N]."""
 
 MASS = (10.76768767, 3.87493756, 1.80228141, 1.06513649)
@@ -76,7 +75,7 @@ def text_gains() -> cascade.Gains:
 
 
 def guarded_gains() -> cascade.Gains:
-    return text_gains()._replace(guard=guards.guard(T_S, math))
+    return text_gains()._replace(guard=gain_backoff.constants(T_S, math))
 
 
 def margin_row(stiffness: float, **changes: Any) -> dict[str, Any]:
@@ -129,7 +128,9 @@ def tuples(matrix: np.ndarray) -> Any:
 def nominal(compensated: bool) -> Nominal:
     share = 0.5 if compensated else 0.0
     coulomb, viscous = (2.025, 2.25, 1.125, 0.66), (1.5, 0.9, 0.5, 0.25)
-    return Nominal(0.9, 0.05, Believed(tuple(share * F for F in coulomb), tuple(share * D for D in viscous), 1e-3))
+    return Nominal(
+        0.9, 0.05, NominalFriction(tuple(share * F for F in coulomb), tuple(share * D for D in viscous), 1e-3)
+    )
 
 
 def recorded_inputs(
@@ -168,7 +169,7 @@ def tick_by_tick(
     q, qd = inputs[0][0], (0.0,) * 4
     state = force_control.init(0.0, cascade.order(gains), tuple(q) if arm["compensated"] else None)
     axes: Any = tuple(cascade.init(each, cascade.order(gains)) for each in inputs[1][0])
-    guard = None if gains.guard is None else guards.init()
+    guard = None if gains.guard is None else gain_backoff.init()
     state = state._replace(axes=axes, guard=guard)
     v, torques, passed = [], [], []
     for now, force, wanted in zip(*inputs, strict=True):

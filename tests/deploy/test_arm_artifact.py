@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from deploy import arm_model
-from deploy.arm_model import MEANING, ROBOT, ArmModel
-from deploy.artifact import ArtifactError, from_bytes, load, to_bytes
-from deploy.freeze import freeze
-from deploy.limits import HIGHEST, Limits
-from jaxmpc.errors import InputError
-from jaxmpc.law.guard import Guard
-from jaxmpc.sealed import seal, unseal
+from deploy.controller import arm_model
+from deploy.controller.arm_model import MEANING, ROBOT, ArmModel
+from deploy.controller.artifact import ArtifactError, from_bytes, load, to_bytes
+from deploy.controller.freeze import freeze
+from deploy.controller.limits import HIGHEST, Limits
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import seal, unseal
+from jaxmpc.law.gain_backoff import GainBackoff
 from tests.deploy import made
 
 
@@ -178,7 +178,7 @@ def test_a_wrong_guard_is_refused(guarded, path, value, message):
     refused(guarded, message, f"gains.guard{path}", value)
 
 
-@pytest.mark.parametrize("name", Guard._fields)
+@pytest.mark.parametrize("name", GainBackoff._fields)
 def test_every_constant_of_the_guard_is_held_by_the_trace(guarded, name):
     value = guarded[0]["gains"]["guard"][name] * 1.001
     refused(guarded, "deviation from the golden t", f"gains.guard.{name}", value)

@@ -6,14 +6,14 @@ from collections import deque
 import can
 import pytest
 
-from deploy.bus import MOST_AT_ONCE, Bus
+from deploy.bus.bus import MOST_AT_ONCE, Bus
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import Mounted
 from deploy.puck import codec
 from deploy.puck.codec import GROUPS, PropertyReply, Torques, decode
 from deploy.puck.frame import Frame
 from deploy.puck.pendant import Pendant, encode_pendant
-from deploy.wam.arm import DOUBT, Arm
+from deploy.wam.arm import DOUBT, WamArm
 from deploy.wam.pucks import PuckInfo, Pucks
 
 MS = 1_000_000
@@ -57,7 +57,7 @@ class Rig:
         self.wire = Wire()
         infos = tuple(PuckInfo(n, n, 150, 0, 4096, 2700, 4860) for n in (1, 2, 3, 4))
         self.bus = Bus(self.wire, self.wire.now)
-        self.arm = Arm(self.bus, Pucks(infos), Mounted(CanSensor()), START, safety_version=197, **settings)
+        self.arm = WamArm(self.bus, Pucks(infos), Mounted(CanSensor()), START, safety_version=197, **settings)
 
     def cycle(self, *frames, early=(), late=()):
         """Frames before the question, in time, and after the deadline."""

@@ -7,10 +7,10 @@ import sys
 import numpy as np
 import pytest
 
-from deploy.arm_model import published_tip
-from deploy.arm_runtime import ArmRuntime, replay
-from deploy.artifact import Artifact
-from jaxmpc.errors import InputError
+from deploy.controller.arm_model import published_tip
+from deploy.controller.artifact import Artifact
+from deploy.runtime.arm import ArmRuntime, replay
+from jaxmpc.files.errors import InputError
 from jaxmpc.law import cascade, chain, force_control
 from tests.deploy import made
 
@@ -169,7 +169,7 @@ def test_entry_at_rest_is_the_law_at_rest(runtime, arm_artifact):
     runtime.enter(FORCE, Q)
     torque = runtime.control(Q, runtime.velocity(Q), FORCE, (0.0, 0.0, -5.0))
     arm, gains = arm_artifact.arm, cascade.constant_reference(arm_artifact.gains)
-    state = force_control.State(tuple(map(cascade.init, FORCE)), None)
+    state = force_control.ControllerState(tuple(map(cascade.init, FORCE)), None)
     wanted = ((0.0,), (0.0,), (-5.0,))
     _, command = force_control.step(
         arm.chain, arm.nominal, arm.posture, gains, made.K2, state, Q, (0.0,) * 4, FORCE, wanted, math

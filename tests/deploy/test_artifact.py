@@ -8,11 +8,11 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
-from deploy import artifact as module
-from deploy.artifact import ArtifactError, from_bytes, load, to_bytes
-from deploy.freeze import freeze
-from deploy.gains import SHAPES
-from jaxmpc.sealed import LARGEST, canonical_json, seal, unseal
+from deploy.controller import artifact as module
+from deploy.controller.artifact import ArtifactError, from_bytes, load, to_bytes
+from deploy.controller.freeze import freeze
+from deploy.controller.frozen_gains import SHAPES
+from jaxmpc.files.sealed import LARGEST, canonical_json, seal, unseal
 
 
 @pytest.fixture

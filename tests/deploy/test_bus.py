@@ -6,8 +6,8 @@ from collections import deque
 import can
 import pytest
 
-from deploy import bus as bus_module
-from deploy.bus import SENDS_AFTER_ERROR, Bus, add_arguments, open_bus
+from deploy.bus import bus as bus_module
+from deploy.bus.bus import SENDS_AFTER_ERROR, Bus, add_arguments, open_bus
 from deploy.errors import BusError
 from deploy.puck.frame import Frame
 

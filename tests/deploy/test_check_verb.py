@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from deploy.artifact import to_bytes
-from deploy.freeze import freeze
+from deploy.controller.artifact import to_bytes
+from deploy.controller.freeze import freeze
 from jaxmpc.cli import main
 from tests.deploy import made
 

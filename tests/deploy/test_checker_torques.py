@@ -11,7 +11,7 @@ import pytest
 from deploy.puck.frame import Frame
 from deploy.safety import checker as right
 from deploy.safety.reasons import Reason
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 from tests.deploy.checking import IPNM, LIMITS, PIDX, POSTURE, PUSH, REST, T_S, WIDE, asked, frame_of, make
 
 # wam.md §2.3

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.limits import Limits
+from deploy.controller.limits import Limits
 from deploy.safety import clamp as right
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 
 # wam.md §2.3
 JOINT_TO_MOTOR = np.array([[-42, 0, 0, 0], [0, 28.25, -16.8155, 0], [0, -28.25, -16.8155, 0], [0, 0, 0, -18]])

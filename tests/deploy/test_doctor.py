@@ -5,11 +5,11 @@ import can
 import pytest
 
 from deploy import doctor
-from deploy.artifact import to_bytes
+from deploy.cli import doctor as verb
+from deploy.controller.artifact import to_bytes
+from deploy.controller.freeze import freeze
 from deploy.doctor import Traffic, bits
-from deploy.freeze import freeze
-from jaxmpc.cli import doctor as verb
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 
 MS = 1_000_000
 
@@ -223,7 +223,7 @@ def run(*words):
 @pytest.fixture
 def quiet(monkeypatch):
     """A machine whose clock is always on time."""
-    monkeypatch.setattr(doctor, "Clock", lambda: FakeClock(1000))
+    monkeypatch.setattr(doctor, "MonotonicClock", lambda: FakeClock(1000))
 
 
 @pytest.mark.usefixtures("quiet")

@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from deploy.arm_model import ROBOT
-from deploy.artifact import load, to_bytes
-from deploy.freeze import freeze
-from deploy.gains import SHAPES
-from jaxmpc.errors import InputError
-from jaxmpc.sealed import seal
+from deploy.controller.arm_model import ROBOT
+from deploy.controller.artifact import load, to_bytes
+from deploy.controller.freeze import freeze
+from deploy.controller.frozen_gains import SHAPES
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import seal
 from tests.deploy import made
 
 

@@ -4,8 +4,8 @@ import math
 import numpy as np
 import pytest
 
-from deploy.limits import HIGHEST, LOWEST, MECHANICAL_STOPS, Limits
-from jaxmpc.errors import InputError
+from deploy.controller.limits import HIGHEST, LOWEST, MECHANICAL_STOPS, Limits
+from jaxmpc.files.errors import InputError
 
 TIP = (0.51856, 0.0, 0.05289)
 PLAIN = Limits.default(TIP).plain()

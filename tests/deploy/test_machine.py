@@ -2,24 +2,24 @@ from itertools import product
 
 import pytest
 
-from deploy.safety.machine import BRIDGED, HELD, TOUCHED, Seen, Situation, State, Task, step, task_of
+from deploy.safety.machine import BRIDGED, HELD, TOUCHED, Observations, OperatingState, SafetyState, Task, step, task_of
 from deploy.safety.reasons import EXPLANATION, Reason
 
 UP = {
-    State.IDLE: {State.ARMED},
-    State.ARMED: {State.APPROACH, State.STOPPED, State.FAULT},
-    State.APPROACH: {State.CONTACT, State.RETRACT, State.FAULT},
-    State.CONTACT: {State.RETRACT, State.FAULT},
-    State.RETRACT: {State.STOPPED, State.FAULT},
-    State.STOPPED: {State.FAULT},
-    State.FAULT: set(),
+    OperatingState.IDLE: {OperatingState.ARMED},
+    OperatingState.ARMED: {OperatingState.APPROACH, OperatingState.STOPPED, OperatingState.FAULT},
+    OperatingState.APPROACH: {OperatingState.CONTACT, OperatingState.RETRACT, OperatingState.FAULT},
+    OperatingState.CONTACT: {OperatingState.RETRACT, OperatingState.FAULT},
+    OperatingState.RETRACT: {OperatingState.STOPPED, OperatingState.FAULT},
+    OperatingState.STOPPED: {OperatingState.FAULT},
+    OperatingState.FAULT: set(),
 }
 NONE = Reason.NONE
-READY = Seen(active=True)
+READY = Observations(active=True)
 
 
 def walk(*seen, start=None):
-    now = start or Situation()
+    now = start or SafetyState()
     for each in seen:
         now = step(now, each)
     return now
@@ -34,51 +34,62 @@ def everything():
         hazards, ages, (NONE, Reason.WORKSPACE, Reason.LATE), (NONE, Reason.FORCE_LOST), (NONE, Reason.OPERATOR)
     ):
         for active, touching, travelled, armed, start in product(bits, repeat=5):
-            yield Seen(hazard, age, danger, doubt, "", active, touching, travelled, armed, start, finish)
+            yield Observations(hazard, age, danger, doubt, "", active, touching, travelled, armed, start, finish)
 
 
 def test_only_the_arrows_are_walked_whatever_is_seen():
-    for state in State:
+    for state in OperatingState:
         for reason in (NONE, Reason.FORCE_LOST, Reason.E_STOP):
-            now = Situation(state, reason, touched=TOUCHED - 1)
+            now = SafetyState(state, reason, touched=TOUCHED - 1)
             found = {step(now, seen).state for seen in everything()} - {state}
             assert found == UP[state]
 
 
 def test_the_way_up():
-    now = walk(Seen())
-    assert now.state is State.ARMED
+    now = walk(Observations())
+    assert now.state is OperatingState.ARMED
     now = walk(READY._replace(start=False), READY, start=now)
-    assert now.state is State.APPROACH
+    assert now.state is OperatingState.APPROACH
     now = walk(*[READY._replace(touching=True)] * TOUCHED, start=now)
-    assert now.state is State.CONTACT
+    assert now.state is OperatingState.CONTACT
     now = walk(READY._replace(finish=Reason.FINISHED), start=now)
-    assert (now.state, now.reason) == (State.RETRACT, Reason.FINISHED)
+    assert (now.state, now.reason) == (OperatingState.RETRACT, Reason.FINISHED)
     now = walk(READY._replace(travelled=True), start=now)
-    assert (now.state, now.reason) == (State.STOPPED, Reason.FINISHED)
+    assert (now.state, now.reason) == (OperatingState.STOPPED, Reason.FINISHED)
     assert now.over
 
 
 def test_a_touch_must_last():
     touching = READY._replace(touching=True)
-    now = walk(*[touching] * (TOUCHED - 1), READY, *[touching] * (TOUCHED - 1), start=Situation(State.APPROACH))
-    assert now.state is State.APPROACH
+    now = walk(
+        *[touching] * (TOUCHED - 1), READY, *[touching] * (TOUCHED - 1), start=SafetyState(OperatingState.APPROACH)
+    )
+    assert now.state is OperatingState.APPROACH
 
 
 def test_nothing_begins_without_the_operator_the_pendant_and_every_position():
-    assert walk(Seen(armed=False)).state is State.IDLE
-    assert walk(Seen(hazard=Reason.E_STOP)).state is State.IDLE
-    assert walk(Seen(position_age=1)).state is State.IDLE
-    armed = Situation(State.ARMED)
-    assert step(armed, Seen(active=False)).state is State.ARMED
-    assert step(armed, READY._replace(start=False)).state is State.ARMED
+    assert walk(Observations(armed=False)).state is OperatingState.IDLE
+    assert walk(Observations(hazard=Reason.E_STOP)).state is OperatingState.IDLE
+    assert walk(Observations(position_age=1)).state is OperatingState.IDLE
+    armed = SafetyState(OperatingState.ARMED)
+    assert step(armed, Observations(active=False)).state is OperatingState.ARMED
+    assert step(armed, READY._replace(start=False)).state is OperatingState.ARMED
 
 
-@pytest.mark.parametrize("state", [State.ARMED, State.APPROACH, State.CONTACT, State.RETRACT, State.STOPPED])
+@pytest.mark.parametrize(
+    "state",
+    [
+        OperatingState.ARMED,
+        OperatingState.APPROACH,
+        OperatingState.CONTACT,
+        OperatingState.RETRACT,
+        OperatingState.STOPPED,
+    ],
+)
 @pytest.mark.parametrize("hazard", [reason for reason in Reason if reason.lets_go])
 def test_a_hazard_lets_go_within_the_cycle_and_never_comes_back(state, hazard):
-    now = step(Situation(state), READY._replace(hazard=hazard, detail="puck 3"))
-    assert (now.state, now.reason, now.detail) == (State.FAULT, hazard, "puck 3")
+    now = step(SafetyState(state), READY._replace(hazard=hazard, detail="puck 3"))
+    assert (now.state, now.reason, now.detail) == (OperatingState.FAULT, hazard, "puck 3")
     assert task_of(now, 0) is Task.OFF
     later = [step(now, seen) for seen in everything()]
     assert all(each[:3] == now[:3] or each.reason is Reason.LATE for each in later)
@@ -86,19 +97,19 @@ def test_a_hazard_lets_go_within_the_cycle_and_never_comes_back(state, hazard):
 
 
 def test_lost_positions_that_turn_out_late_are_called_so_and_change_nothing():
-    lost = step(Situation(State.CONTACT), READY._replace(hazard=Reason.POSITION_LOST))
+    lost = step(SafetyState(OperatingState.CONTACT), READY._replace(hazard=Reason.POSITION_LOST))
     late = step(lost, READY._replace(danger=Reason.LATE))
-    assert (late.state, late.reason) == (State.FAULT, Reason.LATE)
+    assert (late.state, late.reason) == (OperatingState.FAULT, Reason.LATE)
     assert task_of(late, 0) is Task.OFF
 
 
 def test_positions_two_cycles_old_control_three_hold_and_twenty_one_let_go():
-    now = Situation(State.CONTACT)
+    now = SafetyState(OperatingState.CONTACT)
     assert [task_of(step(now, READY._replace(position_age=age)), age) for age in (0, 1, 2)] == [Task.CONTROL] * 3
     old = step(now, READY._replace(position_age=3, detail="J4"))
-    assert (old.state, old.reason, old.detail) == (State.FAULT, Reason.POSITION_OLD, "J4")
+    assert (old.state, old.reason, old.detail) == (OperatingState.FAULT, Reason.POSITION_OLD, "J4")
     assert [task_of(old, age) for age in (0, 3, 20, 21)] == [Task.GRAVITY] * 3 + [Task.OFF]
-    assert step(old, READY).state is State.FAULT
+    assert step(old, READY).state is OperatingState.FAULT
 
 
 def test_the_gravest_decides():
@@ -107,7 +118,7 @@ def test_the_gravest_decides():
     )
     reasons = []
     for key, value in (("hazard", NONE), ("position_age", 0), ("danger", NONE), ("doubt", NONE), ("finish", NONE)):
-        reasons.append(step(Situation(State.CONTACT), seen).reason)
+        reasons.append(step(SafetyState(OperatingState.CONTACT), seen).reason)
         seen = seen._replace(**{key: value})
     assert reasons == [
         Reason.PUCK_FAULT,
@@ -119,14 +130,14 @@ def test_the_gravest_decides():
 
 
 def test_doubt_retracts_and_keeps_its_reason():
-    now = step(Situation(State.CONTACT), READY._replace(doubt=Reason.FORCE_STUCK))
-    assert (now.state, now.reason) == (State.RETRACT, Reason.FORCE_STUCK)
+    now = step(SafetyState(OperatingState.CONTACT), READY._replace(doubt=Reason.FORCE_STUCK))
+    assert (now.state, now.reason) == (OperatingState.RETRACT, Reason.FORCE_STUCK)
     now = walk(READY._replace(doubt=Reason.FORCE_LOST), READY._replace(travelled=True), start=now)
-    assert (now.state, now.reason) == (State.STOPPED, Reason.FORCE_STUCK)
+    assert (now.state, now.reason) == (OperatingState.STOPPED, Reason.FORCE_STUCK)
 
 
 def test_a_fault_that_holds_may_still_become_one_that_lets_go():
-    now = step(Situation(State.CONTACT), READY._replace(danger=Reason.JOINT_RANGE))
+    now = step(SafetyState(OperatingState.CONTACT), READY._replace(danger=Reason.JOINT_RANGE))
     assert task_of(now, 0) is Task.GRAVITY
     now = step(now, READY._replace(hazard=Reason.E_STOP))
     assert now.reason is Reason.E_STOP
@@ -134,7 +145,7 @@ def test_a_fault_that_holds_may_still_become_one_that_lets_go():
 
 
 def test_who_was_too_fast_brakes_while_positions_are_fresh():
-    now = step(Situation(State.CONTACT), READY._replace(danger=Reason.TIP_VELOCITY))
+    now = step(SafetyState(OperatingState.CONTACT), READY._replace(danger=Reason.TIP_VELOCITY))
     assert [task_of(now, age) for age in (0, 2, 3, 20, 21)] == [Task.RETRACT] * 2 + [Task.GRAVITY] * 2 + [Task.OFF]
     assert task_of(step(now, READY._replace(hazard=Reason.E_STOP)), 0) is Task.OFF
 

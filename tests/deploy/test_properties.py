@@ -1,7 +1,7 @@
 import pytest
 
 from deploy.puck.properties import number
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 
 # wam.md §3.3; between 61 and 67 after libbarrett, which it names as its source
 TABLE = [

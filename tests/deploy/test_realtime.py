@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from deploy import realtime
-from deploy.realtime import Clock, Granted, next_deadline, prepare, prepared
+from deploy.loop import realtime
+from deploy.loop.realtime import Granted, MonotonicClock, next_deadline, prepare, prepared
 
 MS = 1_000_000
 
@@ -18,7 +18,7 @@ def test_waits_end_after_the_deadline_and_on_the_monotonic_clock(monkeypatch):
 
     monkeypatch.setattr(time, "time", forbidden)
     monkeypatch.setattr(time, "time_ns", forbidden)
-    clock = Clock()
+    clock = MonotonicClock()
     for wait in (0, 50_000, 2 * MS):
         deadline = clock.now() + wait
         clock.wait_until(deadline)
@@ -27,14 +27,14 @@ def test_waits_end_after_the_deadline_and_on_the_monotonic_clock(monkeypatch):
 
 def test_a_deadline_that_has_passed_is_no_wait(monkeypatch):
     monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("it slept"))
-    clock = Clock()
+    clock = MonotonicClock()
     clock.wait_until(clock.now() - 10 * MS)
 
 
 def test_the_end_of_a_wait_is_not_slept(monkeypatch):
     slept = []
     monkeypatch.setattr(time, "sleep", slept.append)
-    clock = Clock()
+    clock = MonotonicClock()
     clock.wait_until(clock.now() + 2 * MS)
     assert len(slept) == 1
     assert 0.0 < slept[0] <= 0.002 - 1e-9 * realtime.SPIN_NS

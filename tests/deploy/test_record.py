@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from deploy.record import FUNCTIONS, functions, record
+from deploy.runtime.straightline import FUNCTIONS, compile_straightline, functions
 
 
 class Pair(NamedTuple):
@@ -48,7 +48,7 @@ def random_program(draw, n_inputs, n_steps):
 def test_recording_gives_the_bits_of_the_source(seed):
     draw = random.Random(seed)
     program = random_program(draw, 3, 25)
-    recorded = record(program, (0.0, 0.0, 0.0))
+    recorded = compile_straightline(program, (0.0, 0.0, 0.0))
     for _ in range(5):
         inputs = [draw.uniform(0.5, 2.0) * draw.choice([-1, 1]) for _ in range(3)]
         try:
@@ -60,19 +60,17 @@ def test_recording_gives_the_bits_of_the_source(seed):
 
 
 def test_order_of_operations_is_kept():
-    recorded = record(lambda a, b, c: ((a + b) + c, a + (b + c)), (0.0, 0.0, 0.0))
+    recorded = compile_straightline(lambda a, b, c: ((a + b) + c, a + (b + c)), (0.0, 0.0, 0.0))
     assert recorded.function(1e16, -1e16, 1.0) == (1.0, 0.0)
 
 
 def test_law_on_operands_equals_law_on_floats(law):
     from jaxmpc.law import cascade
 
-    recorded = record(lambda *a: cascade.step(law.gains, *a), (cascade.init(), 0.0, (0.0,) * 64))
+    recorded = compile_straightline(lambda *a: cascade.step(law.gains, *a), (cascade.init(), 0.0, (0.0,) * 64))
     draw = random.Random(3)
     for _ in range(200):
-        state = cascade.ControllerState(
-            tuple(draw.gauss(0, 1) for _ in range(3)), *(draw.gauss(0, 1) for _ in range(3))
-        )
+        state = cascade.AxisState(tuple(draw.gauss(0, 1) for _ in range(3)), *(draw.gauss(0, 1) for _ in range(3)))
         y, wanted = draw.gauss(0, 1), [draw.gauss(0, 1) for _ in range(64)]
         assert recorded.function(state, y, wanted) == cascade.step(law.gains, state, y, wanted)
 
@@ -82,7 +80,7 @@ def test_identities_fold():
         opposite = -x
         return x * 1 + 0.0 * x, 1.0 * x - 0, 0 + x / 1, -opposite, x * 0.0, (0.0 + x) * 0 + 2.5
 
-    recorded = record(idle, (0.0,))
+    recorded = compile_straightline(idle, (0.0,))
     assert recorded.operations == 0
     assert recorded.function(7.0) == (7.0, 7.0, 7.0, 7.0, 0.0, 2.5)
 
@@ -92,7 +90,7 @@ def test_repeated_and_unused_operations_go():
         _ = x / y
         return (x + y) * (x + y), x + y, 2 * x * 3.0
 
-    recorded = record(wasteful, (0.0, 0.0))
+    recorded = compile_straightline(wasteful, (0.0, 0.0))
     assert recorded.operations == 4
     assert recorded.source.count("+") == 1
     assert "/" not in recorded.source
@@ -100,7 +98,7 @@ def test_repeated_and_unused_operations_go():
 
 
 def test_zeros_of_different_sign_are_different_constants():
-    recorded = record(lambda x: (0.0 / x, -0.0 / x), (0.0,))
+    recorded = compile_straightline(lambda x: (0.0 / x, -0.0 / x), (0.0,))
     assert [math.copysign(1, each) for each in recorded.function(1.0)] == [1, -1]
 
 
@@ -108,7 +106,7 @@ def test_nesting_in_and_out():
     def swap(pair, rest):
         return Pair(pair.second, [pair.first, rest[0]]), ()
 
-    recorded = record(swap, (Pair(0.0, (0.0, 0.0)), [0.0]))
+    recorded = compile_straightline(swap, (Pair(0.0, (0.0, 0.0)), [0.0]))
     assert recorded.function(Pair(1.0, (2.0, 3.0)), [4.0]) == (((2.0, 3.0), (1.0, 4.0)), ())
     with pytest.raises(ValueError, match="unpack"):
         recorded.function(Pair(1.0, (2.0, 3.0)), [4.0, 5.0])
@@ -116,7 +114,7 @@ def test_nesting_in_and_out():
 
 def test_numpy_numbers_on_either_side_are_constants():
     half = np.float64(0.5)
-    recorded = record(lambda x: (half * x, x * half, half - x), (0.0,))
+    recorded = compile_straightline(lambda x: (half * x, x * half, half - x), (0.0,))
     assert recorded.function(3.0) == (1.5, 1.5, -2.5)
 
 
@@ -129,7 +127,7 @@ def test_functions_are_recorded_once_and_of_constants_computed():
             functions.sin(0.5),
         )
 
-    recorded = record(turning, (0.0,))
+    recorded = compile_straightline(turning, (0.0,))
     assert recorded.source.count("sin(") == 1
     assert recorded.operations == 6
     for x in (0.3, -2.0):
@@ -138,15 +136,19 @@ def test_functions_are_recorded_once_and_of_constants_computed():
 
 
 def test_a_recording_reaches_nothing_else():
-    assert set(record(lambda x: x + 1.0, (0.0,)).function.__globals__) == {"__builtins__", "recorded", *FUNCTIONS}
-    assert record(lambda x: x + 1.0, (0.0,)).function.__globals__["__builtins__"] == {}
+    assert set(compile_straightline(lambda x: x + 1.0, (0.0,)).function.__globals__) == {
+        "__builtins__",
+        "recorded",
+        *FUNCTIONS,
+    }
+    assert compile_straightline(lambda x: x + 1.0, (0.0,)).function.__globals__["__builtins__"] == {}
 
 
 @pytest.mark.parametrize("constant", [math.inf, -math.inf, math.nan])
 @pytest.mark.parametrize("use", [lambda x, c: x * c, lambda x, c: c + x, lambda x, c: (x, c)])
 def test_constants_that_are_not_finite_are_refused(constant, use):
     with pytest.raises(ValueError, match="not finite"):
-        record(lambda x: use(x, constant), (0.0,))
+        compile_straightline(lambda x: use(x, constant), (0.0,))
 
 
 @pytest.mark.parametrize(
@@ -163,11 +165,11 @@ def test_constants_that_are_not_finite_are_refused(constant, use):
 )
 def test_what_is_not_arithmetic_is_refused(use, message):
     with pytest.raises(TypeError, match=message):
-        record(use, (0.0,))
+        compile_straightline(use, (0.0,))
 
 
 def test_operand_of_another_recording_is_refused():
     kept = []
-    record(lambda x: kept.append(x) or x, (0.0,))
+    compile_straightline(lambda x: kept.append(x) or x, (0.0,))
     with pytest.raises(TypeError, match="another recording"):
-        record(lambda x: x + kept[0], (0.0,))
+        compile_straightline(lambda x: x + kept[0], (0.0,))

@@ -8,10 +8,10 @@ import can
 import numpy as np
 import pytest
 
-from deploy.candump import BusLog
+from deploy.bus.candump import BusLog
+from deploy.flight.recorder import COLUMNS, SIMULATED, FlightRecorder, RecordingError, read
 from deploy.puck.frame import Frame
-from deploy.recorder import COLUMNS, SIMULATED, FlightRecorder, RecordingError, read
-from jaxmpc.sealed import LARGEST, canonical_json, seal
+from jaxmpc.files.sealed import LARGEST, canonical_json, seal
 
 HEADER = {"artifact": "0" * 64, "reason": "late", "T_s": 1e-3, "names": {"state": ["idle", "contact"]}}
 SMALL = {"time": (1, "s"), "force": (3, "N")}
@@ -95,7 +95,7 @@ def test_a_full_disk_is_said_and_the_rows_stay(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("deploy.recorder.write_atomic", full)
+        patch.setattr("deploy.flight.recorder.write_atomic", full)
         said = recorder.write(tmp_path / "f.npz", HEADER)
     assert "No space left on device" in said
     assert "kept in memory" in said
@@ -107,11 +107,11 @@ def test_a_full_disk_is_said_and_the_rows_stay(tmp_path, monkeypatch):
 
 
 def test_writing_behind_goes_on_in_a_second_ring(tmp_path, monkeypatch):
-    from deploy import recorder as module
+    from deploy.flight import recorder as module
 
     recorder, gate = FlightRecorder(SMALL, seconds=0.01), threading.Event()
     write = module.write_atomic
-    monkeypatch.setattr("deploy.recorder.write_atomic", lambda *rest: gate.wait(10.0) and write(*rest))
+    monkeypatch.setattr("deploy.flight.recorder.write_atomic", lambda *rest: gate.wait(10.0) and write(*rest))
     assert recorder.finish() == ""
     for k in range(12):
         recorder.append(row(k))

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import pytest
 
-from deploy import reference
-from deploy.reference import Constant, Lines, Stream, Table, from_text
-from jaxmpc.errors import InputError
+from deploy.reference import stream as reference
+from deploy.reference.stream import Constant, Lines, Stream, Table, from_text
+from jaxmpc.files.errors import InputError
 
 T_S = 1e-3
 

@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from deploy.artifact import Artifact
-from deploy.runtime import Runtime, replay
+from deploy.controller.artifact import Artifact
+from deploy.runtime.linear import Runtime, replay
 
 
 def make(arguments, **changes):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.safety import kinematics as right
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 
 REST = (0.0, 0.0, 0.0, 0.0)
 HALF = math.pi / 2

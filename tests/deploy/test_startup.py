@@ -4,7 +4,7 @@ from itertools import pairwise
 import can
 import pytest
 
-from deploy.bus import Bus
+from deploy.bus.bus import Bus
 from deploy.errors import BusError, CalibrationError
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import Mounted, Wrench

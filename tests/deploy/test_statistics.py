@@ -4,7 +4,7 @@ import statistics
 
 import pytest
 
-from deploy.statistics import Histogram, Statistics
+from deploy.loop.statistics import Histogram, Statistics
 
 MS = 1_000_000
 

@@ -12,7 +12,7 @@ from argparse import ArgumentParser, Namespace
 import pytest
 from can.cli import add_bus_arguments
 
-from deploy.watchdog import IDLE_FRAMES, Watchdog, WatchdogError, bus_flags, overdue
+from deploy.loop.watchdog import IDLE_FRAMES, Watchdog, WatchdogError, bus_flags, overdue
 
 MS = 1_000_000
 SLACK = 0.25
@@ -128,7 +128,7 @@ def test_unarmed_it_stays_quiet_whatever_happens(server):
 
 CONTROLLER = """
 import sys, time
-from deploy.watchdog import Watchdog
+from deploy.loop.watchdog import Watchdog
 watchdog = Watchdog(sys.argv[2:], timeout_ms=float(sys.argv[1]))
 while True:
     # as the loop does: what the watchdog has done is looked at before anything else

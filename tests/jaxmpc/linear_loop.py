@@ -13,8 +13,8 @@ from jaxmpc import Params, design
 from jaxmpc.engine.cells import over_cells
 from jaxmpc.engine.rollout import run, scalars
 from jaxmpc.experiment import Experiment
+from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
 from jaxmpc.stability.loop import contact_of
-from jaxmpc.stability.spectrum import Spectrum, spectrum_of
 from jaxmpc.world.contact import hertz
 
 T_S = 1e-3

@@ -12,11 +12,11 @@ from benchmarks import mujoco_loop
 from benchmarks.mujoco_loop import PAPER, PAPER_RMS, Loop
 from jaxmpc import Experiment, Params, Status, design, evaluate
 from jaxmpc.engine.rollout import scalars
+from jaxmpc.engine.scene import ProgramSpec, ScenarioData, program_spec, scenario_data, simulate_cells
 from jaxmpc.evaluation import _ran
-from jaxmpc.law import guard as guards
+from jaxmpc.law import gain_backoff
 from jaxmpc.law.cascade import Gains
-from jaxmpc.scene import Scene, World, run_cells, scene_of, world_of
-from jaxmpc.world.motion import displacement
+from jaxmpc.world.heart.motion import displacement
 from sweeps.run import run as sweep
 from sweeps.spec import SweepSpec
 from tests.jaxmpc.arm_tables import NO_COUNTS, TABLE, changed
@@ -46,8 +46,8 @@ HARD = changed(
 
 
 @partial(jax.jit, static_argnames=("world", "traced"))
-def cells(world: World, gains: Gains, K2: Any, scene: Scene, traced: bool) -> Any:
-    return run_cells(world, gains, K2, None, scene, "float64", traced)
+def cells(world: ProgramSpec, gains: Gains, K2: Any, scene: ScenarioData, traced: bool) -> Any:
+    return simulate_cells(world, gains, K2, None, scene, "float64", traced)
 
 
 def check_parity(experiment: Experiment) -> None:
@@ -58,7 +58,7 @@ def check_parity(experiment: Experiment) -> None:
     params, arm = Params(), experiment.arm
     gains = design(params)
     batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scalars(gains, False))
-    found = cells(world_of(experiment), batch, np.array([10.0]), scene_of(experiment), True).trace
+    found = cells(program_spec(experiment), batch, np.array([10.0]), scenario_data(experiment), True).trace
     heart, velocity = displacement(experiment.motion, np.arange(experiment.steps) * experiment.sampling_time)
     for row, stiffness in enumerate(experiment.stiffness):
         loop = Loop(
@@ -107,16 +107,16 @@ def test_a_run_tells_the_gain_that_its_guard_leaves() -> None:
     experiment = changed(TABLE, duration=5.5, settle=5.0, stiffness=(810.0, 4000.0))
     gains = design(Params(guarded=True))
     batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scalars(gains, False))
-    found = cells(world_of(experiment), batch, np.array([10.0]), scene_of(experiment), True).trace
+    found = cells(program_spec(experiment), batch, np.array([10.0]), scenario_data(experiment), True).trace
     error = np.asarray(found.force)[0] - np.asarray(found.force_ref)[0, ..., 0]
     gain = np.asarray(found.gain)[0, :, 0]
     assert gain[0].min() > 0.99
     assert gain[1].min() < 0.5
     guard = jax.tree.map(float, gains.guard)
     for errors, told in zip(error, gain, strict=True):
-        state, expected = guards.init(), []
+        state, expected = gain_backoff.init(), []
         for sample in errors.T.tolist():
-            state = guards.step(guard, state, sample)
+            state = gain_backoff.step(guard, state, sample)
             expected.append(state.gain)
         # Both add up the same terms, which XLA may fuse: some 1e-16 a step.
         np.testing.assert_allclose(told, expected, rtol=0, atol=1e-11)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from jaxmpc import Experiment, Params
-from jaxmpc.engine.accelerate import implicit
 from jaxmpc.engine.arm_rollout import Cell, Program, start
+from jaxmpc.engine.forward_dynamics import implicit
 from jaxmpc.engine.rollout import HIGHEST_FORCE, scalars
+from jaxmpc.engine.scene import ScenarioData, as_dtype, program_spec, scenario_data, side_by_side, simulate_cells
 from jaxmpc.law.cascade import Gains
-from jaxmpc.scene import Scene, as_dtype, run_cells, scene_of, side_by_side, world_of
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.arm import chain
 from tests.jaxmpc.arm_tables import NO_COUNTS, TABLE, changed
@@ -34,23 +34,23 @@ SHORT = changed(
 """No counts, and no saturation in the first step of 1 N: both are straight-through and so no derivative."""
 
 
-def motions(experiment: Experiment) -> Scene:
+def motions(experiment: Experiment) -> ScenarioData:
     """32 motions and noises side by side: single counts that fall the other way average out."""
-    return side_by_side([scene_of(experiment.with_seed(seed)) for seed in range(32)])
+    return side_by_side([scenario_data(experiment.with_seed(seed)) for seed in range(32)])
 
 
-def residuals(points: jax.Array, scene: Scene) -> jax.Array:
+def residuals(points: jax.Array, scene: ScenarioData) -> jax.Array:
     """Mean of the residual RMS over the cells, a row a controller."""
 
     def gains_of(x: jax.Array) -> Any:
         params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))
         return scalars(design_one(params, scene.T_s)[0], False), params.K2
 
-    ran = run_cells(world_of(SHORT), *jax.vmap(gains_of)(points), None, scene, "float64")
+    ran = simulate_cells(program_spec(SHORT), *jax.vmap(gains_of)(points), None, scene, "float64")
     return jnp.mean(ran.metrics.rms, axis=(1, 2))
 
 
-def summed(x: jax.Array, scene: Scene) -> jax.Array:
+def summed(x: jax.Array, scene: ScenarioData) -> jax.Array:
     return residuals(x[None], scene)[0]
 
 
@@ -59,7 +59,7 @@ reverse = jax.jit(jax.grad(summed))
 forward = jax.jit(lambda x, scene: jax.vmap(lambda d: jax.jvp(lambda x: summed(x, scene), (x,), (d,))[1])(jnp.eye(6)))
 
 
-def central(scene: Scene, step: float) -> np.ndarray:
+def central(scene: ScenarioData, step: float) -> np.ndarray:
     shifts = np.concatenate([step * np.eye(6), -step * np.eye(6)])
     high, low = np.split(np.asarray(value(POINT + shifts, scene)), 2)
     return (high - low) / (2.0 * step)
@@ -99,8 +99,8 @@ def test_gradient_sees_through_counts_and_encoders() -> None:
 def descents() -> tuple[Callable[..., Any], Any, Any, int]:
     """Value and gradient of 1000 steps of 64 controllers: both compiled, and bytes of all carries."""
     experiment = changed(TABLE, duration=1.0, settle=0.5, stiffness=(810.0,), reference={"z": -1.0})
-    scene = as_dtype(scene_of(experiment), "float64")
-    world = world_of(experiment)
+    scene = as_dtype(scenario_data(experiment), "float64")
+    world = program_spec(experiment)
     assert world.kind is not None
     program = Program(chain(), world.kind, implicit, HIGHEST_FORCE)
     on_tissue = scene.robot._replace(tissue=scene.robot.tissue._replace(stiffness=scene.stiffness[0]))
@@ -108,7 +108,7 @@ def descents() -> tuple[Callable[..., Any], Any, Any, int]:
     K2 = jnp.full(64, 10.0)
 
     def loss(gains: Gains) -> jax.Array:
-        return jnp.sum(run_cells(world, gains, K2, None, scene, "float64").metrics.rms)
+        return jnp.sum(simulate_cells(world, gains, K2, None, scene, "float64").metrics.rms)
 
     carry = jax.eval_shape(lambda gains: start(program, Cell(gains, K2, on_tissue)), gains)
     held = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(carry))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 
 from jaxmpc import Experiment, InputError
-from jaxmpc.arm_settings import Arm, TissueSettings, robot_of, softening
+from jaxmpc.experiment.tables import ArmSettings, TissueSettings, robot_of, softening
 from jaxmpc.world.arm import JOINTS, TOOL_MASS, joint_ranges, link_inertias, model, tip_at
 
 WAM = 'physics = "wam"\n'
@@ -92,9 +92,9 @@ def test_without_arm_the_same_mistakes_of_structure_are_told(tmp_path: Path) -> 
 
 def test_everything_in_python_is_checked_as_well() -> None:
     with pytest.raises(InputError, match=r"arm\.integrator"):
-        Arm(cable_hz=20.0, integrator="euler")
+        ArmSettings(cable_hz=20.0, integrator="euler")
     with pytest.raises(InputError, match=r"arm\.posture"):
-        robot_of(Experiment(physics="wam", arm=Arm(posture=(3.0, 0.7, 0.0, 2.2))))
+        robot_of(Experiment(physics="wam", arm=ArmSettings(posture=(3.0, 0.7, 0.0, 2.2))))
 
 
 @settings(max_examples=5)
@@ -107,21 +107,23 @@ def test_a_target_is_reached_within_the_limits(q: tuple[float, ...], centre: tup
     """Any point that some posture up to 0.8 rad away touches, to 1 µm."""
     low, high = joint_ranges().T
     target = tip_at(np.clip(np.array(centre) + 0.8 * np.array(q), low, high))
-    found = np.array(Arm(target=tuple(target.tolist()), posture=centre).resting())
+    found = np.array(ArmSettings(target=tuple(target.tolist()), posture=centre).resting())
     assert np.linalg.norm(tip_at(found) - target) <= 1e-6
     assert (found >= low - 1e-12).all()
     assert (found <= high + 1e-12).all()
 
 
 def test_a_target_at_the_posture_is_the_posture() -> None:
-    posture = Arm().posture
-    found = Arm(target=tuple(tip_at(posture).tolist())).resting()
+    posture = ArmSettings().posture
+    found = ArmSettings(target=tuple(tip_at(posture).tolist())).resting()
     np.testing.assert_allclose(found, posture, atol=1e-6)
 
 
 def test_constants_of_the_world() -> None:
     """Those that are not copied but computed."""
-    arm = Arm(tool_mass=0.5, compensation=0.5, mass_error=-0.2, cable_hz=20.0, cable_damping=0.1, encoder_counts=2048)
+    arm = ArmSettings(
+        tool_mass=0.5, compensation=0.5, mass_error=-0.2, cable_hz=20.0, cable_damping=0.1, encoder_counts=2048
+    )
     found = robot_of(Experiment(physics="wam", arm=arm, delay=2, velocity_lowpass=100.0))
     assert found.tool_mass == pytest.approx(0.5 - TOOL_MASS)
     assert found.nominal.mass_scale == pytest.approx(0.8)
@@ -147,5 +149,5 @@ def test_changes_of_the_tissue_come_one_after_the_other() -> None:
 def test_defaults_are_those_of_the_model_file() -> None:
     compiled = model()
     dofs = [int(compiled.joint(joint).dofadr[0]) for joint in JOINTS]
-    np.testing.assert_array_equal(compiled.dof_damping[dofs], Arm().viscous)
-    assert compiled.body("tool").mass == Arm().tool_mass == TOOL_MASS
+    np.testing.assert_array_equal(compiled.dof_damping[dofs], ArmSettings().viscous)
+    assert compiled.body("tool").mass == ArmSettings().tool_mass == TOOL_MASS

@@ -15,11 +15,11 @@ import pytest
 import scipy.linalg
 
 from jaxmpc import Params, design
+from jaxmpc.engine.scene import scenario_data
 from jaxmpc.experiment import Experiment
-from jaxmpc.scene import scene_of
-from jaxmpc.stability.chatter import asked, chatter_rms, effort_rms
+from jaxmpc.spectra.effort import asked, chatter_rms, effort_rms
+from jaxmpc.spectra.spectrum import spectrum_of
 from jaxmpc.stability.loop import contact_of
-from jaxmpc.stability.spectrum import spectrum_of
 from tests.jaxmpc.linear_loop import SILENT, T_S, TEXT, cases, check_gradient, matrices, settling, step_by_step, world
 
 NERVOUS = Params(K2=28.3, T_cl=1.5e-4, Khat_s=1900.0, Q_p=90.0, Q_x=7.9, lam=2.1, delta=0.9, Hp=19, Hu=13)
@@ -74,7 +74,7 @@ def test_frequency_gives_effort_and_chatter_of_the_linear_loop() -> None:
     experiment = msgspec.structs.replace(Experiment.published("table-1-wam"), physics="linear")
     both, stiffness = Params.stack([TEXT, NERVOUS]), np.array([375.0, 1900.0])
     contacts = jax.vmap(lambda K2: jax.vmap(lambda K_s: contact_of(K_s, K2, T_S, 1.0, False))(stiffness))(both.K2)
-    scene, gains, spectrum = scene_of(experiment), design(both), spectrum_of(experiment)
+    scene, gains, spectrum = scenario_data(experiment), design(both), spectrum_of(experiment)
     simulated, _ = step_by_step(gains, contacts, scene.lsb, scene.signals)
 
     def in_frequency(gains: Any, contact: Any) -> Any:

@@ -11,17 +11,17 @@ import jax
 import numpy as np
 import pytest
 
-from deploy.artifact import load
-from deploy.runtime import replay
+from deploy.controller.artifact import load
+from deploy.runtime.linear import replay
 from jaxmpc import Experiment, InputError, Params, evaluate, evaluation
 from jaxmpc.cli import VERBS, comparison, main
-from jaxmpc.cli.film import film
-from jaxmpc.cli.setup import use_all_cores
 from jaxmpc.cli.simulate import simulated, with_heart_still, without_motion
-from jaxmpc.engine import store
 from jaxmpc.engine.arm_rollout import ArmSample
-from jaxmpc.engine.once import JitOnce
-from jaxmpc.spec import write_toml
+from jaxmpc.files.toml import write_toml
+from jaxmpc.pictures.film import film
+from jaxmpc.terminal.process import use_all_cores
+from jaxmpc.xla import store
+from jaxmpc.xla.once import JitOnce
 
 TUNED = {"K2": 100.0, "Khat_s": 970.0, "Q_p": 9.0, "T_cl": 2e-4}
 

@@ -8,15 +8,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from jaxmpc.law import compensation
-from jaxmpc.law import computed_torque as law
-from jaxmpc.law.compensation import Believed
+from jaxmpc.law import computed_torque, friction_compensation
 from jaxmpc.law.computed_torque import Nominal
+from jaxmpc.law.friction_compensation import NominalFriction
 from jaxmpc.world.arm import chain, model
 
 CHAIN = chain()
 NONE = (0.0, 0.0, 0.0, 0.0)
-FRICTIONLESS = Believed(NONE, NONE, 1e-3)
+FRICTIONLESS = NominalFriction(NONE, NONE, 1e-3)
 EXACT = Nominal(1.0, 0.0, FRICTIONLESS)
 POSTURE = np.array([0.0, 0.7, 0.0, 2.2])
 CLOSE = {"rtol": 0, "atol": 1e-9}
@@ -59,7 +58,7 @@ class Mujoco:
 
 def torque(nominal, q, qd, a, y, friction=NONE):
     flat = (tuple(np.asarray(x).tolist()) for x in (POSTURE, q, qd, a, y))
-    return law.torque(CHAIN, nominal, *flat, friction, math)
+    return computed_torque.torque(CHAIN, nominal, *flat, friction, math)
 
 
 def test_an_exact_model_accelerates_the_tip_as_asked():
@@ -110,13 +109,13 @@ def test_friction_torque_comes_on_top():
 
 def test_known_friction_is_cancelled():
     """Against Dahl's equation by scipy at angles that turn back and forth; a step slides 5 % of z at most."""
-    believed, T_s = Believed((2.0, 1.0, 0.5, 0.25), (1.5, 0.9, 0.5, 0.2), 1e-3), 2e-4
+    believed, T_s = NominalFriction((2.0, 1.0, 0.5, 0.25), (1.5, 0.9, 0.5, 0.2), 1e-3), 2e-4
     t = np.arange(0.0, 1.0, T_s)
     angle = 0.02 * np.sin(2 * np.pi * t) + 0.004 * np.sin(2 * np.pi * 5.3 * t)
     speed = np.gradient(angle, T_s)
-    state, found = compensation.init((0.0,) * 4), []
+    state, found = friction_compensation.init((0.0,) * 4), []
     for q, v in zip(angle.tolist(), speed.tolist(), strict=True):
-        state, torques = compensation.step(believed, state, (q,) * 4, (v,) * 4, math)
+        state, torques = friction_compensation.step(believed, state, (q,) * 4, (v,) * 4, math)
         found.append(torques)
     slope = CubicSpline(t, angle).derivative()
     dahl = solve_ivp(
@@ -132,11 +131,13 @@ def test_what_a_clamp_takes_from_the_tip():
     for q, qd, a, y in cases(5):
         world, found = Mujoco(q, qd), torque(EXACT, q, qd, a, y)
         change = np.array([3.0, -2.0, 0.5, 1.0])
-        lost = law.acceleration_of(found, tuple(change.tolist()))
+        lost = computed_torque.acceleration_of(found, tuple(change.tolist()))
         really = world.tip(world.accelerate(np.array(found.torque) + change, y)) - a
         np.testing.assert_allclose(lost, really, **CLOSE)
 
 
 def test_tip_velocity_is_the_jacobians():
     for q, qd, *_ in cases(5):
-        np.testing.assert_allclose(law.tip_velocity(CHAIN, tuple(q), tuple(qd), math), Mujoco(q, qd).J @ qd, **CLOSE)
+        np.testing.assert_allclose(
+            computed_torque.tip_velocity(CHAIN, tuple(q), tuple(qd), math), Mujoco(q, qd).J @ qd, **CLOSE
+        )

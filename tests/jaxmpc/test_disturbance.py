@@ -11,8 +11,8 @@ import scipy.signal
 
 from jaxmpc import Experiment, InputError, Params, evaluate
 from jaxmpc.cli.simulate import without_motion
-from jaxmpc.disturbance import RECORD, disturbance, peaks, power_spectral_density
-from jaxmpc.world.heart import AMPLITUDES_MM, HARMONICS_HZ, harmonic_motion
+from jaxmpc.spectra.disturbance import RECORD, disturbance, peaks, power_spectral_density
+from jaxmpc.world.heart.harmonics import AMPLITUDES_MM, HARMONICS_HZ, harmonic_motion
 
 T_S = 1e-3
 T = np.arange(round(RECORD / T_S)) * T_S

@@ -11,9 +11,9 @@ import pytest
 import scipy.signal
 from hypothesis import given
 
-from jaxmpc.engine import ops
 from jaxmpc.world import drive as drives
 from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT, Drive, DriveState
+from jaxmpc.xla import ops
 
 FLOATS = SimpleNamespace(
     floor=math.floor, where=lambda c, a, b: a if c else b, clip=lambda x, low, high: min(max(x, low), high)

@@ -13,8 +13,8 @@ import scipy.signal
 from jaxmpc import Experiment, InputError, Params, Status, design, evaluate
 from jaxmpc.engine.cells import over_cells
 from jaxmpc.engine.rollout import run, scalars
+from jaxmpc.engine.scene import scenario_data
 from jaxmpc.evaluation import designed
-from jaxmpc.scene import scene_of
 from jaxmpc.world.contact import hertz
 
 replace = msgspec.structs.replace
@@ -129,7 +129,7 @@ POINT = np.log([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0])
 
 
 def residual(experiment: Experiment) -> Callable[[jax.Array], jax.Array]:
-    scene = scene_of(experiment)
+    scene = scenario_data(experiment)
 
     def total(x: jax.Array) -> jax.Array:
         params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from jaxmpc import Experiment
-from jaxmpc.arm_settings import Arm, TissueSettings, softening
-from jaxmpc.experiment import Sensor
-from jaxmpc.world import rhythm
-from jaxmpc.world.motion import displacement
+from jaxmpc.experiment import SensorSettings
+from jaxmpc.experiment.tables import ArmSettings, TissueSettings, softening
+from jaxmpc.world.heart import rhythm
+from jaxmpc.world.heart.motion import displacement
 
-FOLDER = resources.files("jaxmpc") / "experiments"
+FOLDER = resources.files("jaxmpc.experiment") / "published"
 NAMES = sorted(entry.name.removesuffix(".toml") for entry in FOLDER.iterdir())
 SCENARIOS = {
     "A": "rhythm-steady",
@@ -70,8 +70,8 @@ def test_every_scenario_is_published() -> None:
 def test_nominal_arm_is_written_out_in_full() -> None:
     """Every key stands in the file, but for those of the arm without a default: posture and true friction say it."""
     data = written("table-1-wam")
-    none = {"target", "believed_coulomb", "believed_viscous", "believed_presliding"}
-    for key, kind in (("sensor", Sensor), ("tissue", TissueSettings), ("arm", Arm)):
+    none = {"target", "nominal_coulomb", "nominal_viscous", "nominal_presliding"}
+    for key, kind in (("sensor", SensorSettings), ("tissue", TissueSettings), ("arm", ArmSettings)):
         assert set(data[key]) == {field.name for field in msgspec.structs.fields(kind)} - none
     assert {"delay", "velocity_lowpass", "damping", "sampling_time"} <= set(data)
 
@@ -108,13 +108,13 @@ def test_arm_and_linear_loop_ask_the_same_of_a_controller() -> None:
 
 def test_scenarios_of_rhythm_share_one_program() -> None:
     """They differ in data alone, so what one compiles serves the others."""
-    from jaxmpc.scene import scene_of, world_of
+    from jaxmpc.engine.scene import program_spec, scenario_data
 
     others = ("rhythm-steady", "rhythm-bigeminy", "ventilator-hold", "cough", "amplitude-drift")
     nominal = Experiment.published("table-1-wam")
     for experiment in map(Experiment.published, others):
-        assert world_of(experiment) == world_of(nominal)
-        shapes = ([np.shape(leaf) for leaf in scene_of(e).signals] for e in (experiment, nominal))
+        assert program_spec(experiment) == program_spec(nominal)
+        shapes = ([np.shape(leaf) for leaf in scenario_data(e).signals] for e in (experiment, nominal))
         assert next(shapes) == next(shapes)
 
 

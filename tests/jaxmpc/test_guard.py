@@ -10,14 +10,14 @@ import pytest
 import scipy.signal
 
 from jaxmpc import Experiment, InputError, Params, design
-from jaxmpc.law import guard as guards
+from jaxmpc.law import gain_backoff
 from jaxmpc.law.cascade import with_gain
-from jaxmpc.precision import in_float64
 from jaxmpc.stability.response import controller_response
+from jaxmpc.xla.precision import in_float64
 from tuning.trials import HARD, Job, run
 
 T_S = 1e-3
-GUARD = guards.guard(T_S, math)
+GUARD = gain_backoff.constants(T_S, math)
 
 
 def swinging(seconds: float = 0.8) -> np.ndarray:
@@ -30,9 +30,9 @@ def swinging(seconds: float = 0.8) -> np.ndarray:
 
 def gains_over(error: np.ndarray) -> np.ndarray:
     """g after every sample."""
-    state, found = guards.init(), []
+    state, found = gain_backoff.init(), []
     for sample in error:
-        state = guards.step(GUARD, state, tuple(sample))
+        state = gain_backoff.step(GUARD, state, tuple(sample))
         found.append(state.gain)
     return np.array(found)
 
@@ -40,8 +40,8 @@ def gains_over(error: np.ndarray) -> np.ndarray:
 def test_the_gain_is_that_of_scipys_filters() -> None:
     """The formulas of the module over two low-passes P = (1 − p)/(1 − p z⁻¹) and two high-passes 1 − P by scipy."""
     error = swinging()
-    p = math.exp(-guards.CORNER * T_S)
-    alpha = 1.0 - math.exp(-T_S / guards.MEMORY)
+    p = math.exp(-gain_backoff.CORNER * T_S)
+    alpha = 1.0 - math.exp(-T_S / gain_backoff.MEMORY)
 
     def mean_square(numerator: list[float]) -> np.ndarray:
         twice = scipy.signal.lfilter(np.polymul(numerator, numerator), np.polymul([1.0, -p], [1.0, -p]), error, axis=0)
@@ -49,9 +49,9 @@ def test_the_gain_is_that_of_scipys_filters() -> None:
         return found
 
     g, expected = 1.0, []
-    for e in (mean_square([p, -p]) / (guards.LIMIT**2 + mean_square([1.0 - p]))) ** 4:
-        fall = guards.PACE * T_S * e / (1.0 + e)
-        g = guards.LEAST + (g - guards.LEAST) * (1.0 - fall) + T_S / guards.RETURN * (1.0 - g)
+    for e in (mean_square([p, -p]) / (gain_backoff.LIMIT**2 + mean_square([1.0 - p]))) ** 4:
+        fall = gain_backoff.PACE * T_S * e / (1.0 + e)
+        g = gain_backoff.LEAST + (g - gain_backoff.LEAST) * (1.0 - fall) + T_S / gain_backoff.RETURN * (1.0 - g)
         expected.append(g)
     found = gains_over(error)
     assert found.min() < 0.5, "the swing acts"
@@ -70,7 +70,7 @@ def test_a_heart_alone_leaves_the_gain(size: float, least: float) -> None:
 
 
 def test_what_runs_away_gives_a_number() -> None:
-    assert gains_over(1e9 * swinging(0.2)).min() >= guards.LEAST
+    assert gains_over(1e9 * swinging(0.2)).min() >= gain_backoff.LEAST
 
 
 @in_float64
@@ -78,10 +78,10 @@ def test_its_slope_is_that_of_central_differences() -> None:
     error = jnp.asarray(swinging(0.4))
 
     def last(size: jax.Array) -> jax.Array:
-        def one(state: guards.State, sample: jax.Array) -> tuple[guards.State, None]:
-            return guards.step(GUARD, state, tuple(size * sample)), None
+        def one(state: gain_backoff.BackoffState, sample: jax.Array) -> tuple[gain_backoff.BackoffState, None]:
+            return gain_backoff.step(GUARD, state, tuple(size * sample)), None
 
-        start = jax.tree.map(jnp.asarray, guards.init(0.0 * size))
+        start = jax.tree.map(jnp.asarray, gain_backoff.init(0.0 * size))
         return jax.lax.scan(one, start, error)[0].gain
 
     slope, step = float(jax.grad(last)(jnp.asarray(0.4))), 1e-5

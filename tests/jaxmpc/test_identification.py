@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
-from jaxmpc.arm_settings import Arm
 from jaxmpc.cli import identify as verb
-from jaxmpc.errors import InputError
-from jaxmpc.friction_fit import Band, JointData, bristle
-from jaxmpc.identification import COLUMNS, Recording, identify, read_recording
+from jaxmpc.experiment.tables import ArmSettings
+from jaxmpc.files.errors import InputError
+from jaxmpc.identify.friction_fit import Band, JointData, bristle
+from jaxmpc.identify.identification import COLUMNS, MotionRecording, identify, read_recording
 
 WAM = Path(__file__).parents[2] / "jaxmpc" / "world" / "wam.xml"
 MOTORS = np.array([[-42, 0, 0, 0], [0, 28.25, -16.8155, 0], [0, -28.25, -16.8155, 0], [0, 0, 0, -18]])
@@ -73,7 +73,7 @@ def bristles(t: np.ndarray, qdot: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 @cache
-def recording(seconds: float = 8.0, rate: int = 500, noise: float = 0.05) -> Recording:
+def recording(seconds: float = 8.0, rate: int = 500, noise: float = 0.05) -> MotionRecording:
     """What the arm's encoders and drives tell: 4096 counts a motor turn, torques of 1/2700 N m per motor and noise."""
     fine = 4
     t = np.arange(0.0, seconds, 1.0 / rate / fine)
@@ -94,7 +94,7 @@ def recording(seconds: float = 8.0, rate: int = 500, noise: float = 0.05) -> Rec
     count = 2.0 * np.pi / 4096
     encoders = np.linalg.solve(MOTORS, np.round(MOTORS @ q.T / count) * count).T
     drives = MOTORS.T @ (np.floor(np.linalg.solve(MOTORS.T, tau.T) * 2700.0 + 0.5) / 2700.0)
-    return Recording(t, encoders, drives.T)
+    return MotionRecording(t, encoders, drives.T)
 
 
 def test_the_excitation_is_consistent():
@@ -134,20 +134,20 @@ def test_slope_of_the_bristle_against_central_differences():
 
 def test_offsets_are_optional():
     t, q, tau = recording()
-    found = identify(Recording(t, q, tau - ARM.offset), offsets=False)
+    found = identify(MotionRecording(t, q, tau - ARM.offset), offsets=False)
     assert (found.offset.value == 0.0).all()
     np.testing.assert_allclose(found.coulomb.value, ARM.coulomb, rtol=0.01)
     assert found.mass_scale == pytest.approx(ARM.masses, rel=1e-3)
 
 
-def table_of(r: Recording) -> np.ndarray:
+def table_of(r: MotionRecording) -> np.ndarray:
     return np.column_stack([r.t, r.q, r.tau])
 
 
-def with_column(name: str, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
+def with_column(name: str, change: Callable[[np.ndarray], np.ndarray]) -> MotionRecording:
     table = table_of(recording())
     table[:, COLUMNS.index(name)] = change(table[:, 0].copy())
-    return Recording(table[:, 0], table[:, 1:5], table[:, 5:])
+    return MotionRecording(table[:, 0], table[:, 1:5], table[:, 5:])
 
 
 def jumps_back(t: np.ndarray) -> np.ndarray:
@@ -158,14 +158,14 @@ def jumps_back(t: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("wrong", "key", "said"),
     [
-        pytest.param(lambda: Recording(*(part[:999] for part in recording())), "samples", "999", id="short"),
+        pytest.param(lambda: MotionRecording(*(part[:999] for part in recording())), "samples", "999", id="short"),
         pytest.param(lambda: with_column("t", jumps_back), "t", "at sample 101", id="backwards"),
         pytest.param(lambda: with_column("t", lambda t: 3.0 * t), "sampling", "at least 200 Hz", id="slow"),
         pytest.param(lambda: with_column("q2", lambda t: 0.0 * t), "q2", "Move J2 too", id="still"),
         pytest.param(lambda: with_column("q3", lambda t: 0.1 * t), "q3", "moved both ways", id="one way"),
     ],
 )
-def test_a_recording_that_cannot_serve(wrong: Callable[[], Recording], key: str, said: str):
+def test_a_recording_that_cannot_serve(wrong: Callable[[], MotionRecording], key: str, said: str):
     with pytest.raises(InputError) as raised:
         identify(wrong())
     assert raised.value.key == key
@@ -248,7 +248,7 @@ def test_the_verb_prints_writes_and_draws(tmp_path: Path, capsys: pytest.Capture
     assert re.search(r"J2 +1\.(39|40)\d ± 0\.00\d", told)
     assert re.search(r"model's: 0\.9(19|20)\d ± 0\.000\d", told)
     assert (tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")
-    arm = msgspec.convert(tomllib.loads((tmp_path / "f.toml").read_text())["arm"], Arm, strict=True)
+    arm = msgspec.convert(tomllib.loads((tmp_path / "f.toml").read_text())["arm"], ArmSettings, strict=True)
     np.testing.assert_allclose(arm.coulomb, ARM.coulomb, rtol=0.01)
     np.testing.assert_allclose(arm.viscous, ARM.viscous, rtol=0.02)
     assert arm.presliding == pytest.approx(np.prod(ARM.presliding) ** 0.25, rel=0.02)

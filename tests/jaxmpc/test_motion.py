@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxmpc import InputError
-from jaxmpc.world import heart, rhythm
-from jaxmpc.world.motion import Motion, displacement
+from jaxmpc.world.heart import harmonics, rhythm
+from jaxmpc.world.heart.motion import Motion, displacement
 
 T = np.arange(0.0, 40.0, 1e-3)
 HOUR = 3600.0
@@ -56,7 +56,7 @@ def test_harmonics_have_the_seven_peaks_of_the_paper() -> None:
 
 def test_harmonics_have_the_size_of_the_table() -> None:
     """RMS and peak to peak per axis as tabulated with the amplitudes."""
-    motion = heart.harmonic_motion(np.arange(0.0, 600.0, 5e-3))
+    motion = harmonics.harmonic_motion(np.arange(0.0, 600.0, 5e-3))
     np.testing.assert_allclose(1e3 * motion.std(axis=0), [1.40, 1.17, 2.75], rtol=0.02)
     np.testing.assert_allclose(1e3 * np.ptp(motion, axis=0), [7.4, 6.1, 14.3], rtol=0.05)
 
@@ -76,7 +76,7 @@ def test_steady_rhythm_is_the_table_locked_to_two_frequencies() -> None:
     spectrum = 2.0 * np.abs(np.fft.rfft(motion, axis=0)) / len(motion)
     lines = [70, 140, *(253 * order for order in range(1, 6))]
     np.testing.assert_allclose(lines, 200.0 * np.array([0.35, 0.70, 1.265, 2.53, 3.795, 5.06, 6.325]))
-    np.testing.assert_allclose(1e3 * spectrum[lines].T, heart.AMPLITUDES_MM, rtol=1e-9)
+    np.testing.assert_allclose(1e3 * spectrum[lines].T, harmonics.AMPLITUDES_MM, rtol=1e-9)
     assert np.delete(spectrum, lines, axis=0).max() < 1e-12
 
 
@@ -238,7 +238,8 @@ def test_stroke_of_a_premature_beat_is_weak_and_the_next_one_strong() -> None:
     onsets, gain = rhythm.beats(motion, 100.0)
     t = np.arange(0.0, 100.0, 1e-3)
     breathing = 1e-3 * sum(
-        heart.AMPLITUDES_MM[2, k] * np.cos(2.0 * np.pi * 0.35 * (k + 1) * t + np.deg2rad(heart.PHASES_DEG[2, k]))
+        harmonics.AMPLITUDES_MM[2, k]
+        * np.cos(2.0 * np.pi * 0.35 * (k + 1) * t + np.deg2rad(harmonics.PHASES_DEG[2, k]))
         for k in (0, 1)
     )
     beating = displacement(motion, t)[0][:, 2] - breathing
@@ -251,13 +252,13 @@ def test_hold_stops_respiration_and_lets_it_go_on() -> None:
     t = np.arange(0.0, 40.0, 0.01)
     moved = displacement(rhythmic(ventilation="hold", fade=0.0), t)[0]
     free = displacement(rhythmic(fade=0.0), t)[0]
-    beating = free - heart.respiration(0.35 * t)[0]
+    beating = free - harmonics.respiration(0.35 * t)[0]
     breathing = moved - beating
     held = (t >= 10.5) & (t <= 20.0)
     assert np.ptp(breathing[held], axis=0).max() < 1e-12
     np.testing.assert_array_equal(moved[t <= 10.0], free[t <= 10.0])
     late = t >= 20.5
-    np.testing.assert_allclose(breathing[late], heart.respiration(0.35 * (t[late] - 10.0))[0], atol=1e-12)
+    np.testing.assert_allclose(breathing[late], harmonics.respiration(0.35 * (t[late] - 10.0))[0], atol=1e-12)
 
 
 def test_cough_moves_10_mm_in_300_ms_and_back() -> None:

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxmpc import InputError
-from jaxmpc.world.motion import Motion, displacement
-from jaxmpc.world.recording import read_recording
+from jaxmpc.world.heart.motion import Motion, displacement
+from jaxmpc.world.heart.recording import read_recording
 
 T = np.arange(0.0, 40.0, 1e-3)
 

@@ -18,22 +18,22 @@ import pytest
 import scipy.linalg
 
 from jaxmpc import Params, design
-from jaxmpc.arm_settings import Arm, robot_of
 from jaxmpc.engine.rollout import AxisSignals, advance, record, run, scalars, start
+from jaxmpc.engine.scene import scenario_data
 from jaxmpc.evaluation import evaluate
 from jaxmpc.experiment import Experiment
+from jaxmpc.experiment.tables import ArmSettings, robot_of
 from jaxmpc.law import chain as arm
-from jaxmpc.law import compensation, computed_torque
+from jaxmpc.law import computed_torque, friction_compensation
 from jaxmpc.law.scalar import apply, sub
-from jaxmpc.scene import scene_of
+from jaxmpc.spectra.input_disturbance import uncompensated_acceleration
+from jaxmpc.spectra.residual import residual_parts, residual_rms, responses
+from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
 from jaxmpc.stability.loop import contact_of
-from jaxmpc.stability.residual import residual_parts, residual_rms, responses
-from jaxmpc.stability.spectrum import Spectrum, spectrum_of
-from jaxmpc.uncompensated import uncompensated_acceleration
-from jaxmpc.world import friction as frictions
+from jaxmpc.world import friction
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import hertz
-from jaxmpc.world.motion import displacement
+from jaxmpc.world.heart.motion import displacement
 from jaxmpc.world.robot import accelerate
 from tests.jaxmpc.linear_loop import (
     DAMPED,
@@ -133,7 +133,7 @@ def cells(experiment: Experiment, ideal: bool) -> tuple[Any, Any]:
     """Residuals of three controllers on the linear loop in frequency and step by step, (controllers, stiffness, 3)."""
     gains = design(THREE)
     contacts = worlds(jnp.array(experiment.stiffness), jnp.asarray(THREE.K2), ideal)
-    scene = scene_of(msgspec.structs.replace(experiment, physics="linear"))
+    scene = scenario_data(msgspec.structs.replace(experiment, physics="linear"))
     assert isinstance(scene.signals, AxisSignals)
     disturbed = experiment.physics != "linear"
     acceleration = uncompensated_acceleration(experiment).T if disturbed else 0.0 * scene.signals.heart
@@ -222,7 +222,7 @@ def test_nothing_but_an_addition_is_what_a_disturbance_costs() -> None:
 def on_the_arm(**settings: Any) -> Experiment:
     experiment = Experiment.published("table-1-wam")
     motion = msgspec.structs.replace(experiment.motion, fade=0.3)
-    return msgspec.structs.replace(experiment, duration=1.2, settle=0.5, motion=motion, arm=Arm(**settings))
+    return msgspec.structs.replace(experiment, duration=1.2, settle=0.5, motion=motion, arm=ArmSettings(**settings))
 
 
 def test_a_perfect_arm_is_what_the_controller_asks() -> None:
@@ -248,8 +248,8 @@ def test_acceleration_that_is_known_beforehand_makes_the_arm_follow(settings: di
     t = np.arange(experiment.steps) * T_S
     x, velocity = displacement(experiment.motion, t)
     xdd, w = np.gradient(velocity, T_S, axis=0), uncompensated_acceleration(experiment)
-    q, qd, bristles = robot.posture, (0.0,) * 4, frictions.init()
-    believed, compensator, cancelled = robot.nominal.friction, compensation.init(q), (0.0,) * 4
+    q, qd, bristles = robot.posture, (0.0,) * 4, friction.init()
+    believed, compensator, cancelled = robot.nominal.friction, friction_compensation.init(q), (0.0,) * 4
     kept = []
     for k in range(experiment.steps):
         tip = arm.tip(of_chain, arm.pose(of_chain, q, FLOATS))
@@ -257,11 +257,11 @@ def test_acceleration_that_is_known_beforehand_makes_the_arm_follow(settings: di
         slow = sub(tuple(velocity[k].tolist()), apply(tip.jacobian, qd))
         track = np.array([1e4 * p + 200.0 * v for p, v in zip(late, slow, strict=True)])
         asked = tuple((xdd[k] - w[k] + track).tolist())
-        compensator, cancelled = compensation.step(believed, compensator, q, qd, FLOATS)
+        compensator, cancelled = friction_compensation.step(believed, compensator, q, qd, FLOATS)
         sent = computed_torque.torque(
             of_chain, robot.nominal, robot.posture, q, qd, asked, (0.0,) * 3, cancelled, FLOATS
         ).torque
-        bristles, rubbing = frictions.step(robot.friction, bristles, qd, T_S, FLOATS)
+        bristles, rubbing = friction.step(robot.friction, bristles, qd, T_S, FLOATS)
         qdd = accelerate(of_chain, q, qd, sub(sent, rubbing), robot.tool_mass, robot.viscous, 0.0, FLOATS)
         qd = tuple(v + T_S * a for v, a in zip(qd, qdd, strict=True))
         q = tuple(angle + T_S * v for angle, v in zip(q, qd, strict=True))

@@ -12,10 +12,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jaxmpc import Experiment
-from jaxmpc.arm_settings import Arm, kalman_gains, robot_of
+from jaxmpc.experiment.tables import ArmSettings, kalman_gains, robot_of
 from jaxmpc.world import robot as world
 from jaxmpc.world.arm import chain, model, tip_at
-from jaxmpc.world.robot import Heart, Kind
+from jaxmpc.world.robot import HeartSample, RobotStructure
 
 FLOATS = SimpleNamespace(
     sin=math.sin,
@@ -28,14 +28,14 @@ FLOATS = SimpleNamespace(
     clip=lambda x, low, high: min(max(x, low), high),
 )
 CHAIN = chain()
-STILL = Heart((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+STILL = HeartSample((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 QUIET = (0.0, 0.0, 0.0)
 NONE = (0.0, 0.0, 0.0, 0.0)
 
 
 def robot(stiffness=0.0, sensor=None, **arm):
     """No friction, no rounding; keys as in [arm]."""
-    arm = Arm(**{"coulomb": NONE, "encoder_counts": 0, "torque_lsb": 0.0, **arm})
+    arm = ArmSettings(**{"coulomb": NONE, "encoder_counts": 0, "torque_lsb": 0.0, **arm})
     off = {"noise": 0.01, "lsb": (0.0, 0.0, 0.0)} | (sensor or {})
     base = Experiment.published("table-1")
     sensor = msgspec.structs.replace(base.sensor, **off)
@@ -86,7 +86,7 @@ def tip_errors(integrator, case, coriolis=True):
     for T_s in (2e-3, 1e-3):
         of = robot(stiffness, integrator=integrator)
         of = of._replace(drive=of.drive._replace(T_s=T_s))
-        kind = Kind(integrator=integrator)
+        kind = RobotStructure(integrator=integrator)
         state = world.init(CHAIN, kind, of, 0.0, FLOATS)._replace(qd=speed)
         torque = tuple(held + more for held, more in zip(state.pending[0], push, strict=True))
         advance = world.accelerate if coriolis else without_velocity_products
@@ -127,12 +127,12 @@ def test_euler_is_first_order(case):
 def test_substeps_are_shorter_steps():
     """Two of 0.5 ms in a sample of 1 ms, or two samples of 0.5 ms; only the order of sums differs."""
     of = robot(1900.0)
-    state = world.init(CHAIN, Kind(), of, 0.0, FLOATS)
+    state = world.init(CHAIN, RobotStructure(), of, 0.0, FLOATS)
     torque = tuple(held + 1.0 for held in state.pending[0])
-    two = run(Kind(substeps=2), of, state, torque, 0.02)
+    two = run(RobotStructure(substeps=2), of, state, torque, 0.02)
     half = of._replace(drive=of.drive._replace(T_s=5e-4))
     np.testing.assert_allclose(
-        [each.q for each in two], [each.q for each in run(Kind(), half, state, torque, 0.02)[1::2]]
+        [each.q for each in two], [each.q for each in run(RobotStructure(), half, state, torque, 0.02)[1::2]]
     )
 
 
@@ -155,7 +155,7 @@ def test_a_cable_rings_at_its_frequency_against_a_locked_motor(joint, hertz, rat
     def one_link(of_chain, *rest):
         return world.accelerate(of_chain._replace(armature=held), *rest)
 
-    kind = Kind(cable=True)
+    kind = RobotStructure(cable=True)
     state = world.init(locked, kind, of, 0.0, FLOATS)
     amplitude = 1e-4
     state = state._replace(q=tuple(x + amplitude * (i == joint) for i, x in enumerate(state.q)))
@@ -176,7 +176,7 @@ def test_a_stiffer_cable_comes_closer_to_the_rigid_arm():
     """Twice the frequency, a quarter of the stretch; in steps of 0.25 ms, fine enough for 80 Hz."""
 
     def tips(hertz):
-        kind, of = Kind(cable=hertz > 0.0, substeps=4), robot(810.0, cable_hz=hertz, cable_damping=0.5)
+        kind, of = RobotStructure(cable=hertz > 0.0, substeps=4), robot(810.0, cable_hz=hertz, cable_damping=0.5)
         state = world.init(CHAIN, kind, of, 0.0, FLOATS)
         # Half a sine of torque, so that the cables hardly ring.
         states, hold = [], state.pending[0]
@@ -194,7 +194,7 @@ def test_a_stiffer_cable_comes_closer_to_the_rigid_arm():
 
 def test_a_cable_begins_wound_up_and_at_rest():
     """Held against gravity, nothing moves: 1e-12 rad in ten steps."""
-    kind, of = Kind(cable=True), robot(cable_hz=20.0)
+    kind, of = RobotStructure(cable=True), robot(cable_hz=20.0)
     state = world.init(CHAIN, kind, of, 0.0, FLOATS)
     after = run(kind, of, state, state.pending[0], 0.01)[-1]
     np.testing.assert_allclose(after.q, of.posture, atol=1e-12)
@@ -229,7 +229,7 @@ def test_the_force_filter_is_the_kalman_filter():
     """Of a falling heart, axis by axis, against the filter written as matrices."""
     of, t = robot(810.0, sensor={"kalman": 20.0}), np.arange(200) * 1e-3
     path = np.stack([1e-3 * t**2, 0.0 * t, -1e-2 * t], 1)
-    said = readings(Kind(kalman=True), of, lambda k: Heart(tuple(path[k]), QUIET), 200)
+    said = readings(RobotStructure(kalman=True), of, lambda k: HeartSample(tuple(path[k]), QUIET), 200)
     K, x = np.array(of.sensor.kalman)[:, None], np.zeros((2, 3))
     for k in range(200):
         x = np.array([[1.0, 1e-3], [0.0, 1.0]]) @ x
@@ -243,7 +243,7 @@ def test_low_pass_and_counts_of_the_sensor():
     """A step of 1 N through 500 Hz, then rounded to 6.1 and 12.2 mN; rounding is half up."""
     sensor = {"lowpass_hz": 500.0, "lsb": (0.0061, 0.0061, 0.0122)}
     of = robot(1000.0, sensor=sensor)
-    said = readings(Kind(), of, lambda k: Heart((-1e-3, 0.0, 1e-3), QUIET), 5)
+    said = readings(RobotStructure(), of, lambda k: HeartSample((-1e-3, 0.0, 1e-3), QUIET), 5)
     smooth = 1.0 - np.exp(-2.0 * np.pi * 500.0 * 1e-3 * np.arange(1, 6))
     for axis, (lsb, force) in enumerate([(0.0061, smooth), (0.0061, 0.0 * smooth), (0.0122, -smooth)]):
         np.testing.assert_allclose(said[:, axis], np.floor(force / lsb + 0.5) * lsb, atol=1e-12)
@@ -251,7 +251,7 @@ def test_low_pass_and_counts_of_the_sensor():
 
 def test_tool_beyond_the_sensor_reads_its_inertia_and_no_weight():
     """m a: the change of tip velocity per sample, against second differences of MuJoCo's tip positions, to O(T_s)."""
-    m, kind = 0.05, Kind(tool_inertia=True)
+    m, kind = 0.05, RobotStructure(tool_inertia=True)
     of = robot(0.0, beyond_sensor=m)
     state, said, q = world.init(CHAIN, kind, of, 0.0, FLOATS), [], []
     torque = tuple(held + 2.0 for held in state.pending[0])

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deploy.artifact import Artifact
-from deploy.freeze import freeze
-from deploy.runtime import replay
+from deploy.controller.artifact import Artifact
+from deploy.controller.freeze import freeze
+from deploy.runtime.linear import replay
 from jaxmpc import Params, design
 from jaxmpc.law import cascade
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from jaxmpc import Experiment, Params, evaluation
-from jaxmpc.engine import store
-from jaxmpc.engine.once import JitOnce
-from jaxmpc.scene import scene_of, world_of
+from jaxmpc.engine.scene import program_spec, scenario_data
+from jaxmpc.xla import store
+from jaxmpc.xla.once import JitOnce
 
 TRACED: list[str] = []
 """One entry for every time `wave` was traced."""
@@ -165,7 +165,7 @@ def test_derivatives_pass_by_the_store(folder: Path) -> None:
 def test_all_of_an_evaluation_can_be_kept(folder: Path, name: str) -> None:
     """Traced alone: what compiling makes of it, the tests of the command line see."""
     experiment = msgspec.structs.replace(Experiment.published(name), duration=4.0, settle=3.0)
-    scene, world = scene_of(experiment), world_of(experiment)
+    scene, world = scenario_data(experiment), program_spec(experiment)
     params = jax.tree.map(lambda leaf: np.asarray(leaf)[None], Params())
 
     def kept(function: Any, static: dict[str, Any], **arguments: Any) -> Any:

@@ -28,7 +28,7 @@ def peaks(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
 
         return compute
 
-    monkeypatch.setattr("jaxmpc.cli.setup.use_all_cores", lambda: None)
+    monkeypatch.setattr("jaxmpc.terminal.process.use_all_cores", lambda: None)
     monkeypatch.setattr(trials, "_computer", computer)
     return largest
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxmpc import render, video
-from jaxmpc.errors import InputError
-from jaxmpc.video import still, write_video
+from jaxmpc.files.errors import InputError
+from jaxmpc.pictures import render, video
+from jaxmpc.pictures.video import still, write_video
 from jaxmpc.world.arm import mjcf, model
 
 mujoco = pytest.importorskip("mujoco")
@@ -137,7 +137,7 @@ def test_heartbox_follows_the_touching_point():
 
 def test_import_is_light_and_leaves_the_environment():
     code = (
-        "import os, sys; before = dict(os.environ); import jaxmpc.video; assert dict(os.environ) == before;"
+        "import os, sys; before = dict(os.environ); import jaxmpc.pictures.video; assert dict(os.environ) == before;"
         "assert not {'mujoco', 'matplotlib', 'mediapy', 'imageio_ffmpeg', 'PIL', 'jax'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -9,16 +9,16 @@ import pytest
 import scipy.linalg
 
 from jaxmpc import Experiment, InputError, Params, design
-from jaxmpc.arm_settings import kind_of, robot_on_its_tissue
+from jaxmpc.experiment.tables import kind_of, robot_on_its_tissue
 from jaxmpc.law import cascade, force_control
 from jaxmpc.law import chain as arm
 from jaxmpc.law.cascade import Gains
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.whole_arm import lost, radii, robots_of, whole_arm_matrix
-from jaxmpc.world import drive as drives
+from jaxmpc.world import drive
 from jaxmpc.world import robot as world
 from jaxmpc.world.arm import chain
-from jaxmpc.world.robot import Heart, Kind, Robot
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
 from tuning import trials
 
 T_S, K_S = 1e-3, 810.0
@@ -30,7 +30,7 @@ def experiment(delay: int = 1, stiffness: tuple[float, ...] = (K_S,), **changes:
     return msgspec.structs.replace(base, arm=settings, stiffness=stiffness, delay=delay)
 
 
-def world_of(given: Experiment) -> tuple[Kind, Robot]:
+def world_of(given: Experiment) -> tuple[RobotStructure, Robot]:
     return kind_of(given.arm, given.tissue, bool(given.sensor.kalman)), robot_on_its_tissue(given)
 
 
@@ -61,22 +61,22 @@ def test_a_heavy_perfect_arm_is_the_axis_three_times(params: Params, delay: int,
     np.testing.assert_array_less(third, tolerance)
 
 
-def at_rest(links: Any, kind: Kind, robot: Robot) -> tuple[np.ndarray, Any]:
+def at_rest(links: Any, kind: RobotStructure, robot: Robot) -> tuple[np.ndarray, Any]:
     """The loop's state as numbers, and the structure that they have."""
     leaves, structure = jax.tree.flatten((force_control.init(), world.init(links, kind, robot, 0.0, np)))
     return np.array(leaves, float), structure
 
 
-def one_sample(kind: Kind, robot: Robot, gains: Gains, K2: float, state: tuple[Any, Any]) -> tuple[Any, Any]:
+def one_sample(kind: RobotStructure, robot: Robot, gains: Gains, K2: float, state: tuple[Any, Any]) -> tuple[Any, Any]:
     """Law and world in numpy, put together here once more."""
     controller, state_of_world = state
-    heart = Heart((0.0,) * 3, (0.0,) * 3)
+    heart = HeartSample((0.0,) * 3, (0.0,) * 3)
     force, _, seen = world.sense(chain(), kind, robot, state_of_world, heart, (0.0,) * 3, np)
     q, qd = seen.drive
     believed = chain(), robot.nominal, robot.posture
     wanted = ((0.0,),) * 3
     controller, command = force_control.step(*believed, gains, K2, controller, q, qd, force, wanted, np)
-    held, sent = drives.command(robot.drive, command.torque.torque, np)
+    held, sent = drive.command(robot.drive, command.torque.torque, np)
     controller = force_control.applied(controller, command, held)
     return controller, world.move(chain(), kind, robot, seen, sent, [heart], world.accelerate, np)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from jaxmpc import Experiment, InputError
+from jaxmpc.experiment.reference import Hold, Ramp, Sweep, wanted_force
 from jaxmpc.world.contact import quantise
-from jaxmpc.world.reference import Hold, Ramp, Sweep, wanted_force
 
 
 def test_motion_begins_smoothly() -> None:

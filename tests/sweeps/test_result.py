@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxmpc.errors import InputError
-from jaxmpc.params import Params
+from jaxmpc.files.errors import InputError
 from jaxmpc.status import Status
+from jaxmpc.synthesis.params import Params
 from sweeps.plan import QUANTITIES, Plan
 from sweeps.report import heat_map, mapped_axes, pareto_figure, table
 from sweeps.result import Point, Result

@@ -22,7 +22,7 @@ import pytest
 import scipy.signal
 
 from jaxmpc import design, evaluate
-from jaxmpc.sealed import SEAL
+from jaxmpc.files.sealed import SEAL
 from jaxmpc.status import Status
 from jaxmpc.world.contact import hertz
 from sweeps import run as run_module

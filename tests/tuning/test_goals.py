@@ -7,7 +7,7 @@ import pytest
 
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
-from tuning.goals import MARGINS, OVERSHOOT, measured, standing
+from tuning.job.goals import MARGINS, OVERSHOOT, measured, standing
 
 LIMITS = {
     "M_s": 2.0,

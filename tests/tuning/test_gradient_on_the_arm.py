@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxmpc.precision import in_float64
+from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.objective.problem import problem_of, training
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from jaxmpc import Params
-from jaxmpc.precision import in_float64
+from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec, pareto
+from tuning.job.result import judge
 from tuning.objective.problem import problem_of, training
-from tuning.result import judge
 from tuning.search.front import handed_on, table
-from tuning.search.ladder import SAME, climb, proposed
-from tuning.search.state import State
+from tuning.search.multifidelity import SAME, proposed, run_levels
+from tuning.search.state import SearchState
 
 Job = Callable[..., dict[str, Any]]
 
@@ -30,9 +30,9 @@ def on_the_arm(small: Job) -> Callable[..., TuneSpec]:
     return job
 
 
-def state_of(best: list[float], z: np.ndarray, hard: np.ndarray) -> State:
+def state_of(best: list[float], z: np.ndarray, hard: np.ndarray) -> SearchState:
     """A state after one look at which each start stood where it is."""
-    state = State.new(z, (), 1, (hard.shape[1], 1))
+    state = SearchState.new(z, (), 1, (hard.shape[1], 1))
     state.best, state.best_z, state.path[0], state.hard[0], state.look = np.array(best), z, z, hard, 1
     return state
 
@@ -68,7 +68,7 @@ def test_orders_ask_for_a_q_p_of_their_own(spec: TuneSpec) -> None:
 @pytest.mark.slow
 def test_up_the_whole_ladder_and_against_the_worst(on_the_arm: Callable[..., TuneSpec]) -> None:
     spec = on_the_arm(tune={"rounds": 1, "searched": 6, "orders": [1, 2]})
-    with_float64 = in_float64(lambda: judge(climb(spec)))
+    with_float64 = in_float64(lambda: judge(run_levels(spec)))
     result = with_float64()
     assert [step.name for step in result.steps][:4] == ["frequency", "linear", "mapping", "arm"]
     assert [step.level for step in result.steps][:4] == ["frequency", "linear", "arm", "arm"]

@@ -11,14 +11,14 @@ from scipy.optimize import NonlinearConstraint, minimize
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
-from jaxmpc.precision import in_float64
+from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.objective.designed import Data
 from tuning.objective.loss import HEADROOM, Values, look
 from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.corrected import REACH, minimised, values_and_slopes
 from tuning.search.mapping import Measured, correction, parents, refine, spectra_of
-from tuning.search.state import State
+from tuning.search.state import SearchState
 
 MOVED = (0, 1, 2, 3, 4, 5)
 """All but the horizons, which come last."""
@@ -174,18 +174,18 @@ def test_it_improves_and_a_killed_one_continues_to_the_same_bits(
     assert (np.diff(whole.incumbent[: whole.look]) <= 0.0).all()
     assert whole.feasible
     assert np.log(whole.best.min()) < case.measured.loss.min() - 0.1
-    record = State.record
+    record = SearchState.record
 
-    def killed(self: State, *args: Any, **kwargs: Any) -> None:
+    def killed(self: SearchState, *args: Any, **kwargs: Any) -> None:
         if self.look == 2:
             raise KeyboardInterrupt
         record(self, *args, **kwargs)
 
-    monkeypatch.setattr(State, "record", killed)
+    monkeypatch.setattr(SearchState, "record", killed)
     with pytest.raises(KeyboardInterrupt):
         refine(*job, tmp_path)
-    monkeypatch.setattr(State, "record", record)
+    monkeypatch.setattr(SearchState, "record", record)
     resumed = refine(*job, tmp_path)
-    for field in fields(State):
+    for field in fields(SearchState):
         for a, b in zip(*(jax.tree.leaves(getattr(state, field.name)) for state in (whole, resumed)), strict=True):
             np.testing.assert_array_equal(a, b, err_msg=field.name)

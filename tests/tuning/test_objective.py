@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from jaxmpc import margins
-from jaxmpc.precision import in_float64
+from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
-from tuning.goals import standing
+from tuning.job.goals import standing
 from tuning.objective.designed import measure
 from tuning.objective.loss import HEADROOM, PEAK_TO_RMS, PENALTY, Values, look, seen, seen_soft
 from tuning.objective.problem import Problem, problem_of, training

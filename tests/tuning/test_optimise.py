@@ -12,18 +12,18 @@ import pytest
 
 import tuning.search.optimise
 from jaxmpc import Params, margins
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 from tuning import TuneSpec, tune
-from tuning.search.ladder import climb
+from tuning.search.multifidelity import run_levels
 from tuning.search.optimise import optimiser, schedule
-from tuning.search.state import NAME, State
+from tuning.search.state import NAME, SearchState
 
 Job = Callable[..., dict[str, Any]]
 
 
-def descend(spec: TuneSpec, folder: Path | None = None) -> State:
+def descend(spec: TuneSpec, folder: Path | None = None) -> SearchState:
     """The only level of a linear job."""
-    return climb(spec, folder).steps[-1].state
+    return run_levels(spec, folder).steps[-1].state
 
 
 def test_the_schedule_looks_first_then_softens_then_polishes() -> None:
@@ -60,8 +60,8 @@ def test_a_feasible_start_is_improved(small: Job) -> None:
     assert (np.diff(state.incumbent[: state.look]) <= 0.0).all()
 
 
-def same(one: State, other: State) -> None:
-    for field in fields(State):
+def same(one: SearchState, other: SearchState) -> None:
+    for field in fields(SearchState):
         for a, b in zip(*(jax.tree.leaves(getattr(state, field.name)) for state in (one, other)), strict=True):
             np.testing.assert_array_equal(a, b, err_msg=field.name)
 
@@ -72,25 +72,25 @@ def test_a_killed_run_continues_to_the_same_bits(
 ) -> None:
     whole, stop = descend(spec), 7
     monkeypatch.setattr(tuning.search.optimise, "SAVE_EVERY", 0.0)
-    record = State.record
+    record = SearchState.record
 
-    def killed(self: State, *args: Any, **kwargs: Any) -> None:
+    def killed(self: SearchState, *args: Any, **kwargs: Any) -> None:
         if self.look == stop:
             raise KeyboardInterrupt
         record(self, *args, **kwargs)
 
     with monkeypatch.context() as patch:
-        patch.setattr(State, "record", killed)
+        patch.setattr(SearchState, "record", killed)
         with pytest.raises(KeyboardInterrupt):
             descend(spec, tmp_path)
     looks = 0
 
-    def counted(self: State, *args: Any, **kwargs: Any) -> None:
+    def counted(self: SearchState, *args: Any, **kwargs: Any) -> None:
         nonlocal looks
         looks += 1
         record(self, *args, **kwargs)
 
-    monkeypatch.setattr(State, "record", counted)
+    monkeypatch.setattr(SearchState, "record", counted)
     same(descend(spec, tmp_path), whole)
     assert looks == whole.look - stop
 

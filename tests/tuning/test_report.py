@@ -16,7 +16,7 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
 from tuning import TuneResult, TuneSpec, report
 from tuning.proof.agreement import Agreement
-from tuning.proof.limits import Active, Limits, active_margins
+from tuning.proof.limits import Active, LimitStudy, active_margins
 from tuning.proof.loops import Curves
 from tuning.proof.reached import Row, rows, verdict
 from tuning.proof.sensitivities import Sensitivities
@@ -26,8 +26,8 @@ from tuning.reports.figures import best_of_each_look
 from tuning.reports.files import write
 from tuning.reports.html import picture, tag
 from tuning.reports.page import html_report
-from tuning.search.ladder import Step
-from tuning.search.state import State
+from tuning.search.multifidelity import Step
+from tuning.search.state import SearchState
 
 Job = Callable[..., dict[str, Any]]
 NAME = '<b>"a & b"</b>'
@@ -88,7 +88,7 @@ def result(small: Job) -> TuneResult:
     M_s = np.stack([np.linspace(5.0, 3.0, judged), np.linspace(1.4, 1.98, judged)])
     one = np.ones((2, judged))
     found = Margins(M_s, 6.0 * one, 7.0 * one, 40.0 * one, 2e-3 * one, 0.9 * one, 0.0 * one)
-    state = State.new(spec.space.draw(2, 0), None, 3, (2, 2))
+    state = SearchState.new(spec.space.draw(2, 0), None, 3, (2, 2))
     for look in range(3):
         state.record(_values(0.9 - 0.1 * look, judged), exact=True, worth=0.0)
         state.look += 1
@@ -119,7 +119,7 @@ def study() -> Study:
         Sensitivities("linear", metrics, parameters, np.ones((2, 3)), slopes),
         Split(*parts),
         Agreement(("frequency", "linear"), np.zeros(6), points, points),
-        Limits([Active("M_s", 1900.0, 0.99, 0.5)], 0.2),
+        LimitStudy([Active("M_s", 1900.0, 0.99, 0.5)], 0.2),
     )
 
 
@@ -142,7 +142,7 @@ def test_a_goal_that_held_in_training_alone_is_told(result: TuneResult, monkeypa
 
 
 def test_the_best_of_a_look_holds_its_goals_if_any_does() -> None:
-    state = State.new(np.zeros((3, 2)), (), 4, (2, 1))
+    state = SearchState.new(np.zeros((3, 2)), (), 4, (2, 1))
     state.look = 3
     state.score[:3] = [[0.5, 2.0, 3.0], [0.9, np.nan, 0.8], [np.nan, np.nan, 1.0]]
     state.hard[:3] = 1.0
@@ -209,7 +209,7 @@ def test_nothing_held_and_nothing_met(result: TuneResult, study: Study) -> None:
         M_s=np.array([[np.inf], [2.5]]) * np.ones_like(result.margins["as run"].M_s)
     )
     failed = replace(result, heldout=lost, feasible=False, margins={"as run": worse, "ideal": worse})
-    held = Limits([Active("M_s", 375.0, 1.25, np.nan)], np.nan)
+    held = LimitStudy([Active("M_s", 375.0, 1.25, np.nan)], np.nan)
     parts = Split(*(np.full((2, 3, 3), np.nan) for _ in Split._fields))
     page = html_report(failed, study._replace(limits=held, split=parts, agreement=None))
     said = report(failed)
@@ -241,7 +241,7 @@ def test_text_is_escaped_and_pictures_come_without_files(tmp_path: Path) -> None
     assert tag("p", "<&>", tag("b", "x"), title='"') == '<p title="&quot;">&lt;&amp;&gt;<b>x</b></p>'
 
     def draw(path: Path) -> None:
-        from jaxmpc.figures import figure
+        from jaxmpc.pictures.figures import figure
 
         with figure(path, size=(2.0, 2.0)) as axes:
             axes.bar([0.0], [1.0])[0].set_gid("hint: <one>\ntwo")

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tuning.risk import ORDER, Risk, soft_worst
+from tuning.job.risk import ORDER, Risk, soft_worst
 
 VALUES = np.random.default_rng(0).uniform(0.5, 2.0, (3, 10))
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from jaxmpc import Experiment, Params, evaluate
-from jaxmpc.errors import InputError
-from jaxmpc.world.reference import Reference
+from jaxmpc.experiment.reference import Reference
+from jaxmpc.files.errors import InputError
+from tuning.job.scenarios import Rhythm, Scenarios, describe, scenario, scenarios
 from tuning.proof.heldout import compare
-from tuning.scenarios import Rhythm, Scenarios, describe, scenario, scenarios
 
 ARM = msgspec.structs.replace(Experiment.published("table-1-wam"), duration=0.5, settle=0.1, reference=Reference())
 WIDE = Scenarios(rhythms=get_args(Rhythm), friction=0.3, mass=0.1, stiffness=0.2, delays=(1, 2))
@@ -36,7 +36,7 @@ def test_draws_fill_their_ranges() -> None:
     np.testing.assert_allclose([one.arm.viscous[2] / ARM.arm.viscous[2] for one in drawn], friction[:, 2])
     assert {one.motion.kind for one in drawn} == {"harmonics", "rhythm"}
     # What the controller believes of friction stays what it is.
-    assert {one.arm.believed_coulomb for one in drawn} == {ARM.arm.coulomb}
+    assert {one.arm.nominal_coulomb for one in drawn} == {ARM.arm.coulomb}
 
 
 def test_nothing_to_draw_is_the_experiment_with_other_phases() -> None:

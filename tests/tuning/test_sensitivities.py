@@ -11,11 +11,12 @@ import pytest
 from scipy.stats import spearmanr
 
 from jaxmpc import Params, design
-from jaxmpc.precision import in_float64
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.world.contact import hertz
+from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
+from tuning.job.result import judge
 from tuning.objective.loss import HEADROOM, PENALTY
 from tuning.objective.problem import Problem
 from tuning.proof.agreement import agreement, spearman
@@ -25,8 +26,7 @@ from tuning.proof.loops import curves
 from tuning.proof.sensitivities import log_slopes, sensitivities, vector_of
 from tuning.proof.split import split
 from tuning.reports.files import write
-from tuning.result import judge
-from tuning.search.ladder import climb
+from tuning.search.multifidelity import run_levels
 
 Job = Callable[..., dict[str, Any]]
 QUIET = {"sensor": {"lsb": [0.0, 0.0, 0.0]}, "reference": {"z": []}}
@@ -159,7 +159,7 @@ def test_a_real_job_against_central_differences_without_another_program(small: J
     free = {"lam": True, "Q_p": True, "K2": True, "Khat_s": True, "Hp": True}
     tune = {"starts": 4, "steps": 4, "free": free}
     goals = {"ideal": False, "M_s": 3.0, "overshoot": 8.0}
-    result = judge(climb(TuneSpec.from_dict(small(experiment=QUIET, tune=tune, goals=goals))))
+    result = judge(run_levels(TuneSpec.from_dict(small(experiment=QUIET, tune=tune, goals=goals))))
     step, spec, z = result.steps[-1], result.spec, vector_of(result)
     np.testing.assert_array_equal(spec.space.exact(z).Khat_s, result.params.Khat_s)
     dealt: Any = _dealt(step.problem.kind)
@@ -198,7 +198,7 @@ def test_a_ladder_with_another_structure_before_and_a_goal_that_nobody_meets(sma
     tune = {"starts": 2, "steps": 2, "levels": ["frequency", "linear"], "free": {"lam": True, "Khat_s": True}}
     tables = {"baseline": {"disturbance_order": 2, "Q_p": 1e-3}, "goals": {"M_s": 1.01, "rms": 0.02}}
     job = small(tune={**tune, "diagonals": ["lam"]}, **tables)
-    result = judge(climb(TuneSpec.from_dict(job)))
+    result = judge(run_levels(TuneSpec.from_dict(job)))
     write(result, tmp_path)
     assert "Agreement of the levels" in (tmp_path / "report.html").read_text()
     assert not (tmp_path / "params.toml").exists()

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from jaxmpc import Params
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 from tuning import TuneSpec
 from tuning.objective.transforms import FREE
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxmpc import Params
-from jaxmpc.params import HP_MAX, HU_MAX
-from tuning.objective.transforms import DEFAULTS, FREE, Space, axis_of
+from jaxmpc.synthesis.params import HP_MAX, HU_MAX
+from tuning.objective.transforms import DEFAULTS, FREE, SearchSpace, axis_of
 
 
 @pytest.mark.parametrize("name", DEFAULTS)
@@ -51,14 +51,14 @@ def test_a_bound_of_zero_makes_the_axis_linear() -> None:
 
 def test_space_encodes_what_is_free_and_keeps_the_rest() -> None:
     text = Params.published("text")
-    space = Space(text, [axis_of(name, None, False) for name in ("Khat_s", "Hp", "Hu")])
+    space = SearchSpace(text, [axis_of(name, None, False) for name in ("Khat_s", "Hp", "Hu")])
     found = space.exact(space.encode(text))
     assert float(found.Khat_s) == pytest.approx(900.0)
     assert (float(found.Hp), float(found.Hu), float(found.Q_p)) == (30.0, 5.0, 0.5)
 
 
 def test_horizons_are_rounded_at_width_one_only_and_stay_ordered() -> None:
-    space = Space(Params.published("text"), [axis_of("Hp", (2, 20), False), axis_of("Hu", (1, 16), False)])
+    space = SearchSpace(Params.published("text"), [axis_of("Hp", (2, 20), False), axis_of("Hu", (1, 16), False)])
     z = np.concatenate([axis.unconstrained(value)[None] for axis, value in zip(space.axes, (4.4, 9.7), strict=True)])
     soft, hard = space.decode(jnp.asarray(z), 2.0), space.decode(jnp.asarray(z), 1.0)
     assert float(soft.Hp) == pytest.approx(4.4)
@@ -66,7 +66,7 @@ def test_horizons_are_rounded_at_width_one_only_and_stay_ordered() -> None:
 
 
 def test_a_guard_is_left_out_while_tuning_and_comes_back_with_the_result() -> None:
-    space = Space(Params(guarded=True), [axis_of("Khat_s", None, False)])
+    space = SearchSpace(Params(guarded=True), [axis_of("Khat_s", None, False)])
     z = space.encode(space.base)
     assert (space.decode(jnp.asarray(z), 1.0).guarded, space.exact(z).guarded) == (False, True)
 
@@ -74,7 +74,7 @@ def test_a_guard_is_left_out_while_tuning_and_comes_back_with_the_result() -> No
 def test_diagonals_have_one_number_per_entry() -> None:
     lam = np.geomspace(0.01, 1.0, HU_MAX)
     params = Params(lam=lam)
-    space = Space(params, [axis_of("lam", None, True), axis_of("delta", None, True), axis_of("Q_p", None, False)])
+    space = SearchSpace(params, [axis_of("lam", None, True), axis_of("delta", None, True), axis_of("Q_p", None, False)])
     assert space.size == HU_MAX + HP_MAX + 1
     found = space.exact(space.encode(params))
     np.testing.assert_allclose(found.lam, lam, rtol=1e-12)
@@ -83,7 +83,7 @@ def test_diagonals_have_one_number_per_entry() -> None:
 
 
 def test_draws_are_inside_the_bounds_and_repeat() -> None:
-    space = Space(Params.published("text"), [axis_of(name, None, False) for name in FREE])
+    space = SearchSpace(Params.published("text"), [axis_of(name, None, False) for name in FREE])
     drawn = space.draw(50, seed=3)
     np.testing.assert_array_equal(drawn, space.draw(50, seed=3))
     assert not np.array_equal(drawn, space.draw(50, seed=4))

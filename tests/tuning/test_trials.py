@@ -10,9 +10,9 @@ import pytest
 import scipy.stats
 
 from jaxmpc import Experiment, InputError, Params, Status, evaluate
-from jaxmpc.world.reference import Reference
+from jaxmpc.experiment.reference import Reference
 from tuning import trials
-from tuning.scenarios import RHYTHMS
+from tuning.job.scenarios import RHYTHMS
 from tuning.trials import HARD, NOMINAL, Job, Outcomes
 from tuning.trials.report import pairs, ranked, wilson
 

@@ -14,18 +14,18 @@ import pytest
 
 from jaxmpc import Params, evaluate, margins
 from jaxmpc.cli import main
-from jaxmpc.sealed import unseal
-from jaxmpc.spec import write_toml
+from jaxmpc.files.sealed import unseal
+from jaxmpc.files.toml import write_toml
 from tuning import TuneSpec
+from tuning.job.scenarios import scenarios
 from tuning.proof.heldout import compare
-from tuning.scenarios import scenarios
 
 Job = Callable[..., dict[str, Any]]
 
 
 @pytest.fixture(autouse=True)
 def _one_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jaxmpc.cli.setup.use_all_cores", lambda: None)
+    monkeypatch.setattr("jaxmpc.terminal.process.use_all_cores", lambda: None)
 
 
 def verb(folder: Path, job: dict[str, Any]) -> int:

@@ -5,17 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from deploy.bus import Bus
-from deploy.cycle import Done, Wishes
-from deploy.limits import Limits
-from deploy.loop import STATES, Ended
+from deploy.bus.bus import Bus
+from deploy.controller.limits import Limits
+from deploy.loop.cycle import CycleResult, OperatorCommand
+from deploy.loop.loop import STATES, RunResult
+from deploy.loop.session import Options, Session
 from deploy.puck.codec import unpack_torques
-from deploy.reference import ramps
-from deploy.safety.machine import Situation, State
+from deploy.reference.stream import ramps
+from deploy.safety.machine import OperatingState, SafetyState
 from deploy.safety.reasons import Reason
-from deploy.session import Options, Session
-from deploy.twin.lockstep import Clock, LockstepBus
-from deploy.twin.settings import Settings
+from deploy.twin.lockstep import LockstepBus, LockstepClock
+from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 
 ACTIVATED = 100
@@ -26,10 +26,10 @@ ACTIVATED = 100
 class Flight:
     """What came of it; rows are cycles."""
 
-    ended: Ended
+    ended: RunResult
     session: Session
     twin: Twin
-    situations: list[Situation]
+    situations: list[SafetyState]
     time: np.ndarray
     """Of the twin at each cycle [s]."""
     force: np.ndarray
@@ -53,7 +53,7 @@ class Flight:
     def residual(self, settle: float = 5.0) -> np.ndarray:
         """RMS per axis of the measured force after a time in contact [N]."""
         signals = self.signals()
-        contact = np.flatnonzero(signals["state"][:, 0] == STATES.index(State.CONTACT))
+        contact = np.flatnonzero(signals["state"][:, 0] == STATES.index(OperatingState.CONTACT))
         rows = contact[round(settle * 1e3) :]
         error = signals["force"][rows] - signals["force_ref"][rows]
         rms: np.ndarray = np.sqrt(np.nanmean(error**2, axis=0))
@@ -71,7 +71,11 @@ class Flight:
     def detected(self, since: float) -> int:
         """Cycles from a time until the state left contact; −1 if it never did."""
         for time, now in zip(self.time, self.situations, strict=True):
-            if time >= since - 1e-9 and now.state not in (State.CONTACT, State.APPROACH, State.ARMED):
+            if time >= since - 1e-9 and now.state not in (
+                OperatingState.CONTACT,
+                OperatingState.APPROACH,
+                OperatingState.ARMED,
+            ):
                 return round((time - since) * 1e3)
         return -1
 
@@ -91,14 +95,14 @@ def fly(
 
     Faults are timed from the twin's beginning; contact comes at about 0.8 s.
     """
-    twin = Twin(Settings(stiffness=stiffness, gap=settings.pop("gap", 0.005), faults=faults, **settings))
+    twin = Twin(TwinSettings(stiffness=stiffness, gap=settings.pop("gap", 0.005), faults=faults, **settings))
     truth: list[tuple[float, ...]] = []
 
     def watch(now: Twin) -> None:
         seen = now.truth()
         truth.append((seen.time, *seen.force))
 
-    clock = Clock(twin, watch)
+    clock = LockstepClock(twin, watch)
     bus = Bus(LockstepBus(clock), clock.now)
     frames: list[tuple[float, tuple[int, ...]]] = []
 
@@ -110,22 +114,22 @@ def fly(
     if limits is not None:
         artifact = replace(artifact, arm=replace(artifact.arm, limits=limits))
     session = Session(artifact, bus, clock, options, lambda sentence: None)
-    situations: list[Situation] = []
+    situations: list[SafetyState] = []
     times: list[float] = []
     clamped = [0]
 
-    def each(done: Done) -> Wishes:
+    def each(done: CycleResult) -> OperatorCommand:
         times.append(1e-9 * clock.now())
         situations.append(done.situation)
-        clamped[0] += done.situation.state is State.CONTACT and done.clamp.acted
-        if done.situation.state is State.ARMED and done.situation.cycles == ACTIVATED:
+        clamped[0] += done.situation.state is OperatingState.CONTACT and done.clamp.acted
+        if done.situation.state is OperatingState.ARMED and done.situation.cycles == ACTIVATED:
             twin.press("activate")
         over = session.controller.contact_time >= seconds
-        return Wishes(True, True, Reason.FINISHED if over else Reason.NONE)
+        return OperatorCommand(True, True, Reason.FINISHED if over else Reason.NONE)
 
-    ended = session.run(Wishes(True, True), None, each)
+    ended = session.run(OperatorCommand(True, True), None, each)
     bus.close()
-    entered = [time for time, now in zip(times, situations, strict=True) if now.state is State.CONTACT]
+    entered = [time for time, now in zip(times, situations, strict=True) if now.state is OperatingState.CONTACT]
     rows = np.array(truth)
     return Flight(
         ended,

@@ -5,18 +5,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from deploy.arm_model import ROBOT, ArmModel
-from deploy.arm_runtime import ArmRuntime, replay
-from deploy.artifact import Artifact, load
-from deploy.limits import Limits
+from deploy.controller.arm_model import ROBOT, ArmModel
+from deploy.controller.artifact import Artifact, load
+from deploy.controller.limits import Limits
+from deploy.runtime.arm import ArmRuntime, replay
 from jaxmpc import Experiment, Params, design
 from jaxmpc.cli.freeze import _believed, freeze_controller
-from jaxmpc.errors import InputError
-from jaxmpc.golden import ArmRun, arm_law_trace, simulated_arm_runs
-from jaxmpc.law import guard as guards
-from jaxmpc.world import drive as drives
+from jaxmpc.experiment.reference import Ramp
+from jaxmpc.export.golden import ArmRun, arm_law_trace, simulated_arm_runs
+from jaxmpc.files.errors import InputError
+from jaxmpc.law import gain_backoff
+from jaxmpc.world import drive
 from jaxmpc.world.arm import chain, tip_at
-from jaxmpc.world.reference import Ramp
 from tests.deploy import made
 
 replace = msgspec.structs.replace
@@ -106,12 +106,12 @@ def test_another_law_would_be_seen(frozen):
 def test_the_velocity_filter_is_the_drives():
     artifact = made.arm_artifact(3)
     runtime, draw = ArmRuntime(artifact), np.random.default_rng(1)
-    perfect = drives.Drive(1e-3, 0.0, drives.pole(made.VELOCITY_CUTOFF, 1e-3), 0.0, drives.TORQUE_LIMIT)
+    perfect = drive.Drive(1e-3, 0.0, drive.pole(made.VELOCITY_CUTOFF, 1e-3), 0.0, drive.TORQUE_LIMIT)
     angles = np.cumsum(draw.normal(0.0, 1e-3, (100, 4)), axis=0)
-    state = drives.DriveState(tuple(angles[0]), (0.0,) * 4)
+    state = drive.DriveState(tuple(angles[0]), (0.0,) * 4)
     runtime.start(angles[0].tolist())
     for q in angles:
-        state = drives.measure(perfect, state, tuple(q), np)
+        state = drive.measure(perfect, state, tuple(q), np)
         # There and back through the motors' angles rounds 1e-16 rad, a thousand times a second.
         np.testing.assert_allclose(runtime.velocity(q.tolist()), state.velocity, rtol=0, atol=1e-12)
 
@@ -138,9 +138,9 @@ def test_freezing_from_parameters_to_a_file_that_runs(frozen):
 @pytest.mark.slow
 def test_a_guarded_controller_is_frozen_with_a_force_that_swings(tmp_path):
     artifact = freeze_controller(tmp_path / "c.npz", Params(guarded=True), SHORT, {"M_s": 5.0}, ideal=False)
-    guard = guards.init()
+    guard = gain_backoff.init()
     for error in (artifact.golden_force - artifact.golden_force_ref).tolist():
-        guard = guards.step(artifact.gains.guard, guard, tuple(error))
+        guard = gain_backoff.step(artifact.gains.guard, guard, tuple(error))
     assert guard.gain < 0.5
 
 

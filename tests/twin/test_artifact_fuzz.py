@@ -7,9 +7,9 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
-from deploy.arm_runtime import ArmRuntime
-from deploy.artifact import ArtifactError, from_bytes, to_bytes
-from jaxmpc.sealed import SEAL, seal, unseal
+from deploy.controller.artifact import ArtifactError, from_bytes, to_bytes
+from deploy.runtime.arm import ArmRuntime
+from jaxmpc.files.sealed import SEAL, seal, unseal
 from tests.deploy import made
 
 ODD = [None, True, -1, 0, 1e308, -0.0, 10**400, "inf", "", [], {}, [[]], [1.0] * 7, {"a": 1}, "nan", 1e-320]

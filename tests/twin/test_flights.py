@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from deploy.safety.machine import State
+from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from jaxmpc import Experiment, Params, evaluate
 from jaxmpc.world.tissue import KINDS
@@ -51,7 +51,7 @@ def test_a_hazard_ends_torque_within_two_cycles_for_good(plain, fault, reason, d
     at = 2.5 + phase
     flight = fly(plain, f"{fault}@{at}+1.0" if fault.startswith("bus") else f"{fault}@{at}", "pendant:activate@2.7",
                  seconds=4.0, start=9.0, gap=BEFORE)  # fmt: skip
-    assert flight.ended.situation.state is State.FAULT
+    assert flight.ended.situation.state is OperatingState.FAULT
     assert flight.reason in reason
     assert detail in flight.ended.situation.detail
     driven = [time for time, units in flight.frames if time >= at and any(units)]
@@ -75,7 +75,7 @@ def test_two_lost_replies_in_a_row_are_bridged_and_three_are_not(plain):
     assert bridged.twin.counters["lost"] == 2
 
     flight = fly(plain, f"J2:lost=3@{FAULT_AT}", seconds=4.0, start=2.5, gap=BEFORE)
-    assert (flight.ended.situation.state, flight.reason) == (State.FAULT, Reason.POSITION_OLD)
+    assert (flight.ended.situation.state, flight.reason) == (OperatingState.FAULT, Reason.POSITION_OLD)
     assert "J2" in flight.ended.situation.detail
     assert flight.detected(FAULT_AT) == 3
     # Gravity's torque alone within 20 ms: then only the weight of the arm at its last angles is left.
@@ -99,7 +99,7 @@ def check_sensor_fault(artifact, word, **settings):
     assert clean.reason is Reason.FINISHED
     detected = flight.detected(FAULT_AT)
     assert 0 <= detected <= (11 if word == "stuck" else 3)
-    assert flight.ended.situation.state is State.STOPPED
+    assert flight.ended.situation.state is OperatingState.STOPPED
     assert str(flight.reason).startswith("force")
     assert flight.peak() <= clean.peak() + 0.5
     assert flight.push() <= clean.push() + 0.5
@@ -123,7 +123,7 @@ def test_a_dead_or_mad_force_sensor_ends_contact_gently_on_every_tissue(cautious
 def test_a_lying_force_sensor_stays_within_the_hard_limits(cautious, tissue, word, record_property):
     flight = sensor_fault(cautious, word, tissue=tissue)
     assert flight.peak() <= cautious.arm.limits.force
-    assert flight.ended.situation.state in (State.STOPPED, State.FAULT)
+    assert flight.ended.situation.state in (OperatingState.STOPPED, OperatingState.FAULT)
     record_property("seen", f"{flight.reason} after {flight.detected(FAULT_AT)} cycles, {flight.peak():.2f} N")
 
 
@@ -136,7 +136,7 @@ def test_a_lying_force_sensor_stays_within_the_hard_limits(cautious, tissue, wor
 )  # fmt: skip
 def test_no_alarm_in_a_clean_minute(cautious, tissue, rhythm):
     flight = fly(cautious, seconds=60.0, gap=BEFORE, tissue=tissue, rhythm=rhythm, record=1.0)
-    assert (flight.ended.situation.state, flight.reason) == (State.STOPPED, Reason.FINISHED)
+    assert (flight.ended.situation.state, flight.reason) == (OperatingState.STOPPED, Reason.FINISHED)
     assert flight.clamped < 0.001 * flight.ended.contact_cycles
 
 
@@ -162,11 +162,11 @@ def test_the_same_flight_twice_is_the_same(cautious):
 
 def test_a_sensor_with_the_wrong_sign_from_the_start_shows_at_first_contact(cautious):
     flight = fly(cautious, "force:sign@0", stiffness=1900.0, seconds=3.0, gap=BEFORE)
-    assert (flight.ended.situation.state, flight.reason) == (State.STOPPED, Reason.FORCE_MODEL)
+    assert (flight.ended.situation.state, flight.reason) == (OperatingState.STOPPED, Reason.FORCE_MODEL)
     assert flight.peak() <= cautious.arm.limits.force
 
 
 @pytest.mark.slow
 def test_nothing_is_met(cautious):
     flight = fly(cautious, seconds=1.0, gap=0.08)
-    assert (flight.ended.situation.state, flight.reason) == (State.STOPPED, Reason.NO_CONTACT)
+    assert (flight.ended.situation.state, flight.reason) == (OperatingState.STOPPED, Reason.NO_CONTACT)

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from deploy.doctor import Traffic
-from deploy.safety.machine import State
+from deploy.loop.watchdog import IDLE_FRAMES
+from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
-from deploy.watchdog import IDLE_FRAMES
 from jaxmpc.cli import VERBS
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "robot.md").read_text(encoding="utf-8")
@@ -23,7 +23,7 @@ def test_commands_are_understood(command):
     verb, *words = shlex.split(command)
     assert verb in VERBS
     parser = argparse.ArgumentParser()
-    import_module(f"jaxmpc.cli.{verb}").configure(parser)
+    import_module(VERBS[verb].module).configure(parser)
     parser.parse_args(words[: words.index("looks")] if "looks" in words else words)
 
 
@@ -39,7 +39,7 @@ def rows(title):
 
 
 def test_every_state_and_every_reason_is_explained():
-    assert [row[0].strip("`") for row in rows("States")] == list(State)
+    assert [row[0].strip("`") for row in rows("States")] == list(OperatingState)
     named = [word for row in rows("What each stop means") for word in re.findall(r"`([a-z-]+)`", row[0])]
     assert sorted(named) == sorted(Reason)
 

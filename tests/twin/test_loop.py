@@ -2,15 +2,15 @@
 
 import pytest
 
-from deploy.bus import Bus
-from deploy.cycle import Wishes
+from deploy.bus.bus import Bus
+from deploy.loop.cycle import OperatorCommand
+from deploy.loop.session import Options, Session
 from deploy.puck.codec import unpack_torques
-from deploy.reference import ramps
-from deploy.safety.machine import State
+from deploy.reference.stream import ramps
+from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
-from deploy.session import Options, Session
-from deploy.twin.lockstep import Clock, LockstepBus
-from deploy.twin.settings import Settings
+from deploy.twin.lockstep import LockstepBus, LockstepClock
+from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from tests.deploy.made import arm_artifact
 
@@ -34,8 +34,8 @@ def run():
     """Fly; `happen(clock, watchdog)` is called within cycle `AT`."""
 
     def fly(happen):
-        twin = Twin(Settings(gap=0.003, rhythm="none"))
-        clock = Clock(twin)
+        twin = Twin(TwinSettings(gap=0.003, rhythm="none"))
+        clock = LockstepClock(twin)
         frames = []
         bus = Bus(LockstepBus(clock), clock.now)
 
@@ -51,13 +51,13 @@ def run():
             if len(cycles) == 50:
                 twin.press("activate")
             if len(cycles) == AT:
-                assert done.situation.state is State.CONTACT
+                assert done.situation.state is OperatingState.CONTACT
                 when.append(clock.now())
                 happen(clock, watchdog)
-            return Wishes(True, True, Reason.FINISHED if len(cycles) > AT + 300 else Reason.NONE)
+            return OperatorCommand(True, True, Reason.FINISHED if len(cycles) > AT + 300 else Reason.NONE)
 
         try:
-            ended = session.run(Wishes(True, True), watchdog, each)
+            ended = session.run(OperatorCommand(True, True), watchdog, each)
         finally:
             bus.close()
             driven = [stamp for stamp, drives in frames if when and stamp > when[0] and drives]
@@ -72,7 +72,7 @@ def run():
 
 def test_after_standing_still_nothing_is_computed_from_what_is_old(run):
     ended, session = run(lambda clock, _: clock.wait_until(clock.now() + 100_000_000))
-    assert (ended.situation.state, ended.situation.reason) == (State.FAULT, Reason.STALLED)
+    assert (ended.situation.state, ended.situation.reason) == (OperatingState.FAULT, Reason.STALLED)
     (watchdog,) = run.watchdogs
     assert watchdog.driven == []
     assert watchdog.mode == 1
@@ -81,7 +81,7 @@ def test_after_standing_still_nothing_is_computed_from_what_is_old(run):
 
 def test_a_few_missed_cycles_end_in_holding(run):
     ended, _ = run(lambda clock, _: clock.wait_until(clock.now() + 8_000_000))
-    assert (ended.situation.state, ended.situation.reason) == (State.FAULT, Reason.LATE)
+    assert (ended.situation.state, ended.situation.reason) == (OperatingState.FAULT, Reason.LATE)
     (watchdog,) = run.watchdogs
     assert len(watchdog.driven) > 500  # gravity, for a second
 
@@ -98,7 +98,7 @@ def test_a_watchdog_that_has_acted_or_is_gone_lets_go_at_once(run, reason):
         watchdog.fired, watchdog.there = reason is Reason.STALLED, reason is not Reason.WATCHDOG
 
     ended, _ = run(happen)
-    assert (ended.situation.state, ended.situation.reason) == (State.FAULT, reason)
+    assert (ended.situation.state, ended.situation.reason) == (OperatingState.FAULT, reason)
     (watchdog,) = run.watchdogs
     assert watchdog.driven == []
     assert [on for _, on in watchdog.beats[:AT]] == [True] * AT

@@ -7,12 +7,12 @@ from argparse import ArgumentParser
 import numpy as np
 import pytest
 
-from deploy.arm_runtime import ArmRuntime
-from deploy.artifact import load, to_bytes
-from deploy.recorder import COLUMNS, FlightRecorder, read
-from deploy.replay import SETTLING, compare, inputs_of, through_runtime
+from deploy.controller.artifact import load, to_bytes
+from deploy.flight.recorder import COLUMNS, FlightRecorder, read
+from deploy.flight.replay import SETTLING, compare, inputs_of, through_runtime
+from deploy.runtime.arm import ArmRuntime
 from jaxmpc.cli import replay as verb
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 from tests.deploy import made
 
 NAMES = {"state": ["idle", "armed", "approach", "contact", "retract", "stopped", "fault"]}

@@ -37,7 +37,8 @@ EQUIVALENT = {
     "kinematics": {
         "length = 0.0 | 0.0 → 0.1": "both are refused",
         "@lru_cache(maxsize=4) | 4 → 5": "tools that are remembered",
-        "return record(lambda q, qd: _motion(length, q, qd), ((0.0,) * 4, (0.0,) * 4)).function | 0.0 → 0.1": PLACE,
+        "return compile_straightline(lambda q, qd: _motion(length, q, qd), ((0.0,) * 4, (0.0,) * 4)).function"
+        " | 0.0 → 0.1": PLACE,
     },
     "clamp": {
         "least = (lost + shrink * most + 4.0 * SLACK) / T_s | 4.0 → 5.0": ROUNDING,

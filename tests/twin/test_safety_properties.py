@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.limits import HIGHEST, LOWEST, Limits
+from deploy.controller.limits import HIGHEST, LOWEST, Limits
 from deploy.puck import codec
 from deploy.safety.checker import Checker, Strictness
 from deploy.safety.clamp import bounds, clamp
 from deploy.safety.kinematics import kinematics
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 from jaxmpc.law import chain as law
 from jaxmpc.world import arm
 
@@ -144,7 +144,7 @@ def test_no_bytes_make_the_checker_raise(data, identifier, how):
 def test_its_kinematics_are_those_of_the_controller():
     chain, motion = arm.chain(), kinematics(TOOL)
     draw = np.random.default_rng(23)
-    from deploy.record import functions
+    from deploy.runtime.straightline import functions
 
     for _ in range(300):
         q, qd = tuple(draw.uniform(-3.0, 3.0, 4).tolist()), tuple(draw.normal(size=4).tolist())

@@ -9,9 +9,9 @@ from deploy.puck import codec
 from deploy.puck.frame import Frame
 from deploy.puck.pendant import decode_pendant
 from deploy.puck.properties import number
-from deploy.twin.settings import HOME, Settings
+from deploy.twin.settings import HOME, TwinSettings
 from deploy.twin.twin import Twin
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 from jaxmpc.world.drive import JOINT_TO_MOTOR
 
 QUIET = {"rhythm": "none", "noise": 0.0, "lsb": (0.0, 0.0, 0.0)}
@@ -57,7 +57,7 @@ def pendant(twin):
 
 
 def active(**settings):
-    twin = Twin(Settings(**(QUIET | settings)))
+    twin = Twin(TwinSettings(**(QUIET | settings)))
     twin.press("activate")
     return twin
 
@@ -69,7 +69,7 @@ def test_enumeration_finds_the_nodes_of_a_four_joint_arm():
 
 
 def test_properties_are_those_that_were_set_up():
-    twin = Twin(Settings(counts=40960, ipnm=(2700.0, 2562.0, 2562.0, 2472.0)))
+    twin = Twin(TwinSettings(counts=40960, ipnm=(2700.0, 2562.0, 2562.0, 2472.0)))
     for i, node in enumerate(codec.PUCKS):
         named = {name: value(twin, node, number(name, "motor", 200)) for name in ("VERS", "CTS", "IPNM", "PIDX", "MT")}
         assert named == {
@@ -87,7 +87,7 @@ def test_properties_are_those_that_were_set_up():
 
 
 def test_waking_takes_a_while_and_only_the_monitor_answers_before():
-    twin = Twin(Settings(cold=True))
+    twin = Twin(TwinSettings(cold=True))
     assert [value(twin, node, MOTOR["STAT"]) for node in codec.PUCKS] == [0] * 4
     assert [ask(twin, 1, MOTOR["CTS"]), ask(twin, 1, MOTOR["P"]), ask(twin, 8, codec.FORCE_READING)] == [[], [], []]
     twin.receive(Frame(0x400, bytes.fromhex("85000200")))
@@ -102,7 +102,7 @@ def test_waking_takes_a_while_and_only_the_monitor_answers_before():
 
 def test_a_cold_arm_is_at_home_and_learns_where_that_is():
     """Positions lost, but absolute within a turn; after the host has told them they follow the arm being carried."""
-    twin = Twin(Settings(cold=True))
+    twin = Twin(TwinSettings(cold=True))
     twin.receive(codec.set_value(0x400, MOTOR["STAT"], 2))
     wait(twin, 0.25)
     home = np.floor(np.array(JOINT_TO_MOTOR) @ HOME * 4096 / (2 * math.pi)).astype(int)
@@ -132,7 +132,7 @@ def test_a_cold_arm_is_at_home_and_learns_where_that_is():
 
 
 def test_positions_are_the_motors_angles():
-    twin = Twin(Settings(**QUIET))
+    twin = Twin(TwinSettings(**QUIET))
     wanted = np.array(JOINT_TO_MOTOR) @ twin.truth().q * 4096 / (2 * math.pi)
     np.testing.assert_allclose(list(positions(twin).values()), wanted, atol=0.5)
     assert [frame.id for frame in _frames(twin)] == [0x423, 0x443, 0x463, 0x483]
@@ -144,7 +144,7 @@ def _frames(twin):
 
 
 def test_only_the_pendant_activates_and_software_only_lowers():
-    twin = Twin(Settings(**QUIET))
+    twin = Twin(TwinSettings(**QUIET))
     assert value(twin, 10, SAFETY["MODE"]) == 1
     twin.receive(codec.set_value(10, SAFETY["MODE"], 2))
     assert value(twin, 10, SAFETY["MODE"]) == 1
@@ -161,14 +161,14 @@ def test_only_the_pendant_activates_and_software_only_lowers():
 
 
 def test_the_safety_module_tells_the_pucks_in_frames_of_its_own():
-    twin = Twin(Settings(**QUIET))
+    twin = Twin(TwinSettings(**QUIET))
     twin.press("activate")
     assert [frame.id for frame in twin.take()] == [0x540]
     assert codec.decode(Frame(0x540, bytes(6))) is None
 
 
 def test_torque_is_ignored_unless_the_mode_is_torque():
-    twin = Twin(Settings(**QUIET))
+    twin = Twin(TwinSettings(**QUIET))
     wait(twin, 0.01, (0, 500, 0, 0))
     assert not any(twin.truth().torque)
     twin.press("activate")
@@ -321,7 +321,7 @@ def test_a_sensor_on_the_tool_turns_with_it():
 
 
 def test_taring_takes_its_time_and_then_the_bias_and_the_tools_weight_are_gone():
-    twin = Twin(Settings(rhythm="none", bias=(0.5, -1.0, 2.0), beyond_sensor=0.1))
+    twin = Twin(TwinSettings(rhythm="none", bias=(0.5, -1.0, 2.0), beyond_sensor=0.1))
     np.testing.assert_allclose(force(twin).force, [-0.5, 1.0, -2.0 - 0.1 * 9.805], atol=0.1)
     twin.receive(codec.set_value(8, codec.FORCE_READING, 0))
     wait(twin, 0.5)
@@ -339,7 +339,7 @@ def test_taring_takes_its_time_and_then_the_bias_and_the_tools_weight_are_gone()
 
 def test_replies_take_their_time_on_a_wire_with_a_bit_rate():
     """The budget of wam.md §6: 57 µs for the question, 73 µs for each of four answers."""
-    twin = Twin(Settings(bit_rate=1e6))
+    twin = Twin(TwinSettings(bit_rate=1e6))
     twin.receive(codec.get(0x404, MOTOR["P"]))
     assert twin.take() == []
     assert twin.next_ns() == 130_000

@@ -7,9 +7,9 @@ import pytest
 
 from deploy.puck import codec
 from deploy.twin.faults import ENCODERS, WORDS, Fault, parse
-from deploy.twin.settings import Settings
+from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
-from jaxmpc.errors import InputError
+from jaxmpc.files.errors import InputError
 
 P, FT, STAT, MODE, ERROR = 48, 54, 5, 8, 4
 START, DURATION = 20, 30
@@ -67,14 +67,14 @@ def test_a_wrong_word_is_told_with_a_remedy(text, hint):
     with pytest.raises(InputError, match=hint):
         parse(text)
     with pytest.raises(InputError):
-        Twin(Settings(faults=(text,)))
+        Twin(TwinSettings(faults=(text,)))
 
 
 def run(fault, milliseconds=80, ask=(0x404, P), **settings):
     """Answers of each millisecond with a fault from `START` on for `DURATION`, and the same without it."""
     both = []
     for faults in ((f"{fault}@{1e-3 * START}+{1e-3 * DURATION}",), ()):
-        twin = Twin(Settings(**{"gap": 0.0, "faults": faults, "bias": (3.0, 4.0, 5.0)} | settings))
+        twin = Twin(TwinSettings(**{"gap": 0.0, "faults": faults, "bias": (3.0, 4.0, 5.0)} | settings))
         answers = []
         for _ in range(milliseconds):
             twin.advance()
@@ -162,7 +162,7 @@ def test_an_encoder_is(word):
 def test_not_a_number_comes_by_the_hook_alone():
     """No frame can carry it."""
     for word, what in {"nan": math.isnan, "inf": lambda x: x == math.inf, "-inf": lambda x: x == -math.inf}.items():
-        twin = Twin(Settings(faults=(f"force:{word}@0.01+0.01",)))
+        twin = Twin(TwinSettings(faults=(f"force:{word}@0.01+0.01",)))
         seen = []
         for _ in range(30):
             twin.advance()
@@ -179,7 +179,7 @@ def test_not_a_number_comes_by_the_hook_alone():
 @pytest.mark.parametrize(("target", "ids"), [("J3", [0x463]), ("positions", [0x423, 0x443, 0x463, 0x483])])
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_so_many_replies_in_a_row_are_lost(target, ids, count):
-    twin = Twin(Settings(faults=(f"{target}:lost={count}@0.01",)))
+    twin = Twin(TwinSettings(faults=(f"{target}:lost={count}@0.01",)))
     lost = []
     for _ in range(30):
         twin.advance()
@@ -193,7 +193,7 @@ def test_so_many_replies_in_a_row_are_lost(target, ids, count):
 
 def test_replies_are_lost_at_random_and_the_seed_decides():
     def lost(seed):
-        twin = Twin(Settings(seed=seed, faults=("positions:lost=0.05",)))
+        twin = Twin(TwinSettings(seed=seed, faults=("positions:lost=0.05",)))
         there = []
         for _ in range(500):
             twin.receive(codec.get(0x404, P))
@@ -208,7 +208,7 @@ def test_replies_are_lost_at_random_and_the_seed_decides():
 
 
 def test_late_replies_come_later_and_doubled_ones_twice():
-    twin = Twin(Settings(faults=("J1:late=2", "J2:duplicated")))
+    twin = Twin(TwinSettings(faults=("J1:late=2", "J2:duplicated")))
     twin.receive(codec.get(0x404, P))
     assert [frame.id for frame in twin.take()] == [0x443, 0x443, 0x463, 0x483]
     twin.advance()
@@ -218,7 +218,7 @@ def test_late_replies_come_later_and_doubled_ones_twice():
 
 
 def test_commands_can_be_lost():
-    twin = Twin(Settings(faults=("commands:lost=1",)))
+    twin = Twin(TwinSettings(faults=("commands:lost=1",)))
     for answers in (0, 4):
         twin.receive(codec.get(0x404, P))
         assert len(twin.take()) == answers
@@ -235,7 +235,7 @@ def ask(twin, node, prop):
 
 def drive(faults, milliseconds=20):
     """An active arm under torque, with a fault at 10 ms."""
-    twin = Twin(Settings(faults=tuple(f"{fault}@0.01" for fault in faults)))
+    twin = Twin(TwinSettings(faults=tuple(f"{fault}@0.01" for fault in faults)))
     twin.press("activate")
     told = []
     for _ in range(milliseconds):
@@ -280,7 +280,7 @@ def test_the_pendant_is_pressed_under_way(button, mode):
 
 
 def test_the_pendant_activates_by_itself():
-    twin = Twin(Settings(faults=("pendant:activate@0.005",)))
+    twin = Twin(TwinSettings(faults=("pendant:activate@0.005",)))
     modes = []
     for _ in range(10):
         modes.append(twin.safety.mode)
@@ -299,7 +299,7 @@ def test_bus_off_is_silence_both_ways_and_then_the_safety_module_hears_nothing()
 
 
 def test_a_babbling_node_fills_the_bus_with_foreign_frames():
-    twin = Twin(Settings(faults=("bus:babble=2500@0.01+0.04",)))
+    twin = Twin(TwinSettings(faults=("bus:babble=2500@0.01+0.04",)))
     heard = []
     for _ in range(100):
         twin.advance()
@@ -313,7 +313,7 @@ def test_a_babbling_node_fills_the_bus_with_foreign_frames():
 def test_every_word_of_every_target_can_be_run(target):
     """And leaves a twin that goes on."""
     for word in WORDS[target]:
-        twin = Twin(Settings(faults=(f"{target}:{word}{'=0.5' if word == 'lost' else ''}@0.002+0.01",)))
+        twin = Twin(TwinSettings(faults=(f"{target}:{word}{'=0.5' if word == 'lost' else ''}@0.002+0.01",)))
         twin.press("activate")
         for _ in range(20):
             twin.receive(codec.get(0x404, P))

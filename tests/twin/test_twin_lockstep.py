@@ -3,13 +3,13 @@
 import can
 import pytest
 
-from deploy.bus import Bus
+from deploy.bus.bus import Bus
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import Mounted
 from deploy.puck import codec
 from deploy.puck.frame import Frame
-from deploy.twin.lockstep import Clock, LockstepBus
-from deploy.twin.settings import Settings
+from deploy.twin.lockstep import LockstepBus, LockstepClock
+from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from deploy.wam.startup import startup
 
@@ -42,7 +42,7 @@ def frames(bus):
 
 def test_time_goes_by_only_when_somebody_waits(connect):
     ticks = []
-    clock = Clock(Twin(), every_tick=lambda twin: ticks.append(twin.tick))
+    clock = LockstepClock(Twin(), every_tick=lambda twin: ticks.append(twin.tick))
     bus = connect(clock)
     assert clock.now() == 0
     bus.send(message(codec.get(0x404, P)))
@@ -58,7 +58,7 @@ def test_time_goes_by_only_when_somebody_waits(connect):
 
 
 def test_waiting_for_a_frame_takes_its_time(connect):
-    clock = Clock(Twin())
+    clock = LockstepClock(Twin())
     bus = connect(clock)
     assert bus.recv(0.0006) is None
     assert clock.now() == 600_000
@@ -69,7 +69,7 @@ def test_waiting_for_a_frame_takes_its_time(connect):
 
 
 def test_a_late_frame_is_waited_for(connect):
-    clock = Clock(Twin(Settings(faults=("J1:late=0.4", "J2:late=1.5"))))
+    clock = LockstepClock(Twin(TwinSettings(faults=("J1:late=0.4", "J2:late=1.5"))))
     bus = connect(clock)
     bus.send(message(codec.get(0x404, P)))
     arrived = []
@@ -80,7 +80,7 @@ def test_a_late_frame_is_waited_for(connect):
 
 
 def test_frames_take_their_time_on_the_wire(connect):
-    clock = Clock(Twin(Settings(bit_rate=1e6)))
+    clock = LockstepClock(Twin(TwinSettings(bit_rate=1e6)))
     bus = connect(clock)
     bus.send(message(codec.get(0x404, P)))
     bus.send(message(codec.get(8, FT)))
@@ -93,7 +93,7 @@ def test_frames_take_their_time_on_the_wire(connect):
 
 
 def test_programs_see_each_other_and_filters_hold(connect):
-    clock = Clock(Twin())
+    clock = LockstepClock(Twin())
     controller, watchdog = connect(clock), connect(clock)
     watchdog.set_filters([{"can_id": 0x404, "can_mask": 0x7FF}])
     controller.send(message(codec.get(0x404, P)))
@@ -102,7 +102,7 @@ def test_programs_see_each_other_and_filters_hold(connect):
 
 
 def test_what_is_no_classical_frame_is_ignored(connect):
-    clock = Clock(Twin())
+    clock = LockstepClock(Twin())
     bus = connect(clock)
     bus.send(can.Message(arbitration_id=0x404, data=b"\x30", is_extended_id=True))
     bus.send(can.Message(arbitration_id=0x404, is_remote_frame=True, is_extended_id=False))
@@ -111,7 +111,7 @@ def test_what_is_no_classical_frame_is_ignored(connect):
 
 
 def test_bus_off_refuses_and_is_seen(connect):
-    clock = Clock(Twin(Settings(faults=("bus:off@0.005",))))
+    clock = LockstepClock(Twin(TwinSettings(faults=("bus:off@0.005",))))
     mine = connect(clock)
     bus = Bus(mine, now=clock.now)
     assert bus.state == "active"
@@ -126,8 +126,8 @@ def test_bus_off_refuses_and_is_seen(connect):
 @pytest.mark.parametrize("cold", [False, True])
 def test_the_robots_own_start_up_finds_an_arm(cold, connect):
     """It wakes, homes, and reads in cycles what the arm really does."""
-    twin = Twin(Settings(cold=cold, rhythm="none", gap=0.0, ipnm=(2700.0, 2562.0, 2562.0, 2700.0)))
-    clock = Clock(twin)
+    twin = Twin(TwinSettings(cold=cold, rhythm="none", gap=0.0, ipnm=(2700.0, 2562.0, 2562.0, 2700.0)))
+    clock = LockstepClock(twin)
     said = []
     bus = Bus(connect(clock), now=clock.now)
     arm = startup(bus, clock, Mounted(CanSensor()), home=cold, report=said.append)
@@ -159,7 +159,7 @@ def test_the_robots_own_start_up_finds_an_arm(cold, connect):
 
 def control(settings, milliseconds=300):
     """A loop of requests, replies and torques: everything that came, and where the arm is at the end."""
-    clock = Clock(Twin(settings))
+    clock = LockstepClock(Twin(settings))
     heard = []
     with LockstepBus(clock) as bus:
         clock.twin.press("activate")
@@ -173,12 +173,12 @@ def control(settings, milliseconds=300):
 
 
 def test_every_run_is_the_same():
-    settings = Settings(gap=0.005, rhythm="fibrillation", seed=3, faults=("frames:lost=0.01", "force:garbage@0.1"))
+    settings = TwinSettings(gap=0.005, rhythm="fibrillation", seed=3, faults=("frames:lost=0.01", "force:garbage@0.1"))
     assert control(settings) == control(settings)
-    assert control(settings) != control(Settings(gap=0.005, rhythm="fibrillation", seed=4, faults=settings.faults))
+    assert control(settings) != control(TwinSettings(gap=0.005, rhythm="fibrillation", seed=4, faults=settings.faults))
 
 
 def test_the_whole_bus_of_a_millisecond_fits():
-    heard, truth = control(Settings())
+    heard, truth = control(TwinSettings())
     assert len([frame for frame in heard if frame.id != 0x540]) == 300 * 6
     assert truth.time == pytest.approx(0.299)

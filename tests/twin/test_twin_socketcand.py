@@ -10,11 +10,11 @@ from contextlib import closing
 import can
 import pytest
 
-from deploy.bus import Bus
+from deploy.bus.bus import Bus
 from deploy.puck import codec
 from deploy.puck.frame import Frame
 from deploy.twin.server import HOST, Server
-from deploy.twin.settings import Settings
+from deploy.twin.settings import TwinSettings
 from deploy.twin.slcan import Slcan
 from deploy.twin.socketcand import Socketcand
 from deploy.twin.twin import Twin
@@ -27,7 +27,7 @@ def serve():
     running = []
 
     def start(**settings):
-        server = Server(Twin(Settings(**{"rhythm": "none"} | settings)))
+        server = Server(Twin(TwinSettings(**{"rhythm": "none"} | settings)))
         thread = threading.Thread(target=server.run)
         running.append((server, thread))
         thread.start()
@@ -109,7 +109,7 @@ def test_it_listens_to_this_machine_alone_and_a_taken_port_is_an_error(serve):
     server = serve()
     assert server._listener.getsockname()[0] == "127.0.0.1"
     with pytest.raises(OSError, match="in use"):
-        Server(Twin(Settings(rhythm="none")), server.port)
+        Server(Twin(TwinSettings(rhythm="none")), server.port)
 
 
 def test_time_goes_by_as_on_the_clock(serve):

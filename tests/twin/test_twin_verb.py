@@ -14,13 +14,7 @@ import pytest
 from deploy.puck import codec
 from jaxmpc import cli
 
-
-@pytest.fixture(autouse=True)
-def verb(monkeypatch):
-    monkeypatch.setitem(cli.VERBS, "twin", "the robot")
-
-
-CODE = "import sys; from jaxmpc import cli; cli.VERBS.setdefault('twin', 'the robot'); sys.exit(cli.main(sys.argv[1:]))"
+CODE = "import sys; from jaxmpc import cli; sys.exit(cli.main(sys.argv[1:]))"
 
 
 @pytest.fixture
@@ -127,13 +121,13 @@ def test_a_taken_port_is_a_failure(capsys):
 
 
 def test_slcan_needs_pyserial(monkeypatch, capsys):
-    monkeypatch.setattr("jaxmpc.cli.twin.find_spec", lambda name: None)
+    monkeypatch.setattr("deploy.twin.cli.find_spec", lambda name: None)
     assert cli.main(["twin", "--slcan"]) == 2
     assert "pyserial" in capsys.readouterr().err
 
 
 def test_with_pyserial_slcan_is_a_pseudo_terminal(monkeypatch, capsys):
-    monkeypatch.setattr("jaxmpc.cli.twin.find_spec", lambda name: True)
+    monkeypatch.setattr("deploy.twin.cli.find_spec", lambda name: True)
     assert cli.main(["twin", "--port", "0", "--slcan", "--duration", "0.05"]) == 0
     name = re.search(r"-i slcan -c (\S+)", capsys.readouterr().out)[1]
     assert not os.path.exists(name) or os.path.dirname(name) == "/dev/pts"

@@ -6,18 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deploy.twin.heart import Heart
-from deploy.twin.settings import HOME, RHYTHMS, Settings
-from deploy.twin.world import TORQUE_CONSTANT, WINDING, World
-from jaxmpc.arm_settings import robot_of
-from jaxmpc.errors import InputError
+from deploy.twin.heart import TwinHeart
+from deploy.twin.settings import HOME, RHYTHMS, TwinSettings
+from deploy.twin.world import TORQUE_CONSTANT, WINDING, TwinPhysics
 from jaxmpc.experiment import Experiment
+from jaxmpc.experiment.tables import robot_of
+from jaxmpc.files.errors import InputError
 from jaxmpc.law.chain import inverse_dynamics, pose, tip
 from jaxmpc.law.scalar import apply_transposed
 from jaxmpc.world import robot
 from jaxmpc.world.arm import chain, joint_ranges, tip_at
 from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
-from jaxmpc.world.motion import Motion, displacement
+from jaxmpc.world.heart.motion import Motion, displacement
 from jaxmpc.world.tissue import KINDS
 
 FLOATS = SimpleNamespace(
@@ -61,12 +61,12 @@ def test_the_world_is_the_simulators(kind, steps):
     """Under the same torques, pressing and pulling, heart moving: only rounding, some 1e-16 a step, parts them."""
     of = robot_of(Experiment.published("table-1-wam"))
     of = of._replace(tissue=of.tissue._replace(stiffness=810.0), sensor=of.sensor._replace(lsb=(0.0,) * 3))
-    structure = robot.Kind(kind, integrator="euler")
+    structure = robot.RobotStructure(kind, integrator="euler")
     state = robot.init(chain(), structure, of, 0.0, FLOATS)
     # The torque of the last sample is given to a twin that takes it at once.
-    world = World(Settings(tissue=kind, substeps=1, gap=0.0, fade=0.1, delay=0, pull_off=1e6))
+    world = TwinPhysics(TwinSettings(tissue=kind, substeps=1, gap=0.0, fade=0.1, delay=0, pull_off=1e6))
     signals = displacement(Motion(fade=0.1), np.arange(steps) * 1e-3)
-    hearts = [robot.Heart(tuple(x), tuple(v)) for x, v in zip(*(each.tolist() for each in signals), strict=True)]
+    hearts = [robot.HeartSample(tuple(x), tuple(v)) for x, v in zip(*(each.tolist() for each in signals), strict=True)]
     draw, sent, normal = np.random.default_rng(3), holding(world), []
     for k, heart in enumerate(hearts):
         measured, _, state = robot.sense(chain(), structure, of, state, heart, (0.0,) * 3, FLOATS)
@@ -84,7 +84,7 @@ def test_the_world_is_the_simulators(kind, steps):
 
 def test_a_torque_acts_after_the_delay():
     for delay in (0, 1, 3):
-        world = World(Settings(delay=delay))
+        world = TwinPhysics(TwinSettings(delay=delay))
         acting = [any(truth.torque) for truth in run(world, 5e-3)]
         assert acting == [k >= delay for k in range(5)]
 
@@ -95,7 +95,7 @@ def test_the_heart_moves_as_in_the_published_experiments(name):
     if published == name and name not in ("ventilator-hold", "cough", "amplitude-drift"):
         published = f"rhythm-{name}"
     motion = Experiment.published(published).motion if published else Motion(kind="none")
-    heart = Heart(name, 5e-4, motion.seed, motion.scale, motion.start, motion.fade)
+    heart = TwinHeart(name, 5e-4, motion.seed, motion.scale, motion.start, motion.fade)
     # 9 to 11 s, where rates step, lungs stop and coughs come; three blocks at once would hide a seam.
     instants = range(18_000, 22_000)
     found = np.array([heart.at(i) for i in instants])
@@ -105,7 +105,7 @@ def test_the_heart_moves_as_in_the_published_experiments(name):
 
 
 def test_somebody_holds_the_arm_until_a_torque_acts():
-    world = World(Settings())
+    world = TwinPhysics(TwinSettings())
     start = world.q
     for _ in range(200):
         world.advance(NONE, IDLE)
@@ -119,8 +119,8 @@ def test_somebody_holds_the_arm_until_a_torque_acts():
 
 
 def test_the_tip_starts_above_and_touches_where_the_posture_says():
-    settings = Settings(rhythm="none", gap=0.01, **FREE)
-    world = World(settings)
+    settings = TwinSettings(rhythm="none", gap=0.01, **FREE)
+    world = TwinPhysics(settings)
     np.testing.assert_allclose(
         world.truth().tip, tip_at(settings.posture) + np.array([0.0, 0.0, 0.01]), rtol=0.0, atol=1e-12
     )
@@ -134,8 +134,8 @@ def test_the_tip_starts_above_and_touches_where_the_posture_says():
 
 def test_an_attached_tip_pulls_until_it_comes_off_and_a_touching_one_never_pulls():
     for attached in (True, False):
-        settings = Settings(rhythm="none", gap=0.0, attached=attached, pull_off=3.0, **FREE)
-        world = World(settings)
+        settings = TwinSettings(rhythm="none", gap=0.0, attached=attached, pull_off=3.0, **FREE)
+        world = TwinPhysics(settings)
         forces = np.array([truth.force[2] for truth in run(world, 0.25, lift=8.0)])
         assert forces.max() == pytest.approx(3.0, abs=0.3) if attached else forces.max() <= 0.0
         assert not world.truth().touching
@@ -148,7 +148,7 @@ def test_an_attached_tip_pulls_until_it_comes_off_and_a_touching_one_never_pulls
 
 def test_an_idle_arm_sinks_slowly_on_its_shorted_motors():
     """Gravity against Kt²/R: the speed of J2 after the first tenth of a second, to a tenth."""
-    world = World(Settings(rhythm="none", gap=0.2, **FREE))
+    world = TwinPhysics(TwinSettings(rhythm="none", gap=0.2, **FREE))
     run(world, 0.005)
     begin = world.q
     weight = inverse_dynamics(chain(), pose(chain(), begin, math), NONE, NONE)[1]
@@ -162,7 +162,7 @@ def test_one_idle_motor_brakes_its_own_turning_and_no_other():
     """With J2 and J3 turning such that motor 2 stands still, shorting motor 2 takes nothing away."""
     speeds = []
     for braked in (DRIVING, (False, True, False, False), (False, False, True, False)):
-        world = World(Settings(rhythm="none", gap=0.2, **FREE))
+        world = TwinPhysics(TwinSettings(rhythm="none", gap=0.2, **FREE))
         run(world, 0.005)
         world._data.qvel[:] = 0.0, 16.8155 * 0.02, 28.25 * 0.02, 0.0
         world._settle()
@@ -175,7 +175,7 @@ def test_one_idle_motor_brakes_its_own_turning_and_no_other():
 
 
 def test_joints_end_at_their_stops():
-    world = World(Settings(rhythm="none", gap=0.2))
+    world = TwinPhysics(TwinSettings(rhythm="none", gap=0.2))
     for _ in range(1500):
         world.advance((1.0, 1.0, 0.5, -0.5), DRIVING)
     low, high = joint_ranges().T
@@ -200,12 +200,12 @@ def test_joints_end_at_their_stops():
 )
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
-        Settings(**wrong)
+        TwinSettings(**wrong)
 
 
 def test_the_same_seed_is_the_same_world():
     def measured(seed):
-        world = World(Settings(seed=seed, gap=0.0))
+        world = TwinPhysics(TwinSettings(seed=seed, gap=0.0))
         return [truth.measured for truth in run(world, 0.1)]
 
     assert measured(1) == measured(1)

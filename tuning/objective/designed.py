@@ -10,30 +10,30 @@ from jaxtyping import Array, Float
 
 from jaxmpc.engine.cells import over_cells
 from jaxmpc.engine.rollout import AxisSignals, run, scalars
+from jaxmpc.engine.scene import ProgramSpec, ScenarioData, simulate_cells
 from jaxmpc.law.cascade import Gains
 from jaxmpc.metrics import Metrics
-from jaxmpc.params import HP_MAX, Params
-from jaxmpc.scene import Scene, World, run_cells
+from jaxmpc.spectra.effort import chatter_rms, effort_rms
+from jaxmpc.spectra.residual import residual_rms
+from jaxmpc.spectra.spectrum import Spectrum
 from jaxmpc.stability import Margins, margins_one
-from jaxmpc.stability.chatter import chatter_rms, effort_rms
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
-from jaxmpc.stability.residual import residual_rms
-from jaxmpc.stability.spectrum import Spectrum
 from jaxmpc.synthesis import design_one
+from jaxmpc.synthesis.params import HP_MAX, Params
 from jaxmpc.world.contact import Contact, hertz
-from tuning.objective.transforms import Axis
-from tuning.risk import Risk
+from tuning.job.risk import Risk
+from tuning.objective.transforms import FreeParameter
 
 STEP_SAMPLES = 512
 """Length of the step response in which the overshoot is looked for [samples]."""
 
 
-class Kind(NamedTuple):
+class ProblemStructure(NamedTuple):
     """What needs a program of its own; all else is data."""
 
-    axes: tuple[Axis, ...]
+    axes: tuple[FreeParameter, ...]
     ideal_goals: bool
-    world: World
+    world: ProgramSpec
     precision: str
     risk: Risk
 
@@ -41,7 +41,7 @@ class Kind(NamedTuple):
 class Data(NamedTuple):
     """What a program takes besides the starts."""
 
-    scene: Scene
+    scene: ScenarioData
     spectra: Any
     """Of the scenarios, stacked: then no time is stepped. Else None."""
     correction: Metrics | None
@@ -61,7 +61,7 @@ class Data(NamedTuple):
     """Of the start point, (stiffness, scenarios, 3); for goals that are ratios."""
 
 
-def judged_contact(K_s: Any, K2: Any, scene: Scene, ideal: bool) -> Contact:
+def judged_contact(K_s: Any, K2: Any, scene: ScenarioData, ideal: bool) -> Contact:
     """The world in which `jaxmpc.margins` judges: it runs through the WAM's filters or, if ideal, through none."""
     sensor = 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ)
     return contact_of(K_s, K2, scene.T_s, scene.delay, ideal, VELOCITY_CUTOFF, sensor)
@@ -78,7 +78,7 @@ class Designed(NamedTuple):
     """(judged_at,)"""
 
 
-def designed(params: Params, data: Data, width: Any, kind: Kind) -> Designed:
+def designed(params: Params, data: Data, width: Any, kind: ProblemStructure) -> Designed:
     """Design one controller and judge its margins as `jaxmpc.margins` defines them; traceable."""
     scene = data.scene
     gains, residual = design_one(params, scene.T_s, width)
@@ -94,7 +94,7 @@ def designed(params: Params, data: Data, width: Any, kind: Kind) -> Designed:
     return Designed(params, gains, jax.vmap(contact)(scene.stiffness), jax.vmap(judge)(data.judged_at))
 
 
-def cells_of(controllers: Designed, data: Data, kind: Kind) -> Metrics:
+def cells_of(controllers: Designed, data: Data, kind: ProblemStructure) -> Metrics:
     """What is measured of every controller, (starts, stiffness, scenarios, 3); traceable.
 
     From spectra it is residual RMS, effort and chatter; the peaks are NaN, or with a correction a multiple of the RMS.
@@ -102,7 +102,7 @@ def cells_of(controllers: Designed, data: Data, kind: Kind) -> Metrics:
     scene, world = data.scene, kind.world
     if data.spectra is None:
         gains = jax.vmap(lambda g: scalars(g, world.preview))(controllers.gains)
-        ran = run_cells(world, gains, controllers.params.K2, controllers.contacts, scene, kind.precision)
+        ran = simulate_cells(world, gains, controllers.params.K2, controllers.contacts, scene, kind.precision)
         flat = jax.tree.map(lambda leaf: leaf.astype(jnp.float64), ran.metrics)
         cells: Metrics = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:2], -1, 3), flat)
         return cells
@@ -123,7 +123,7 @@ def cells_of(controllers: Designed, data: Data, kind: Kind) -> Metrics:
     return corrected
 
 
-def overshoot_of(controllers: Designed, kind: Kind) -> Float[Array, "starts stiffness"]:
+def overshoot_of(controllers: Designed, kind: ProblemStructure) -> Float[Array, "starts stiffness"]:
     """How far the force of the linear loop exceeds a step of its reference, relative to the step; traceable."""
     quiet, one = jnp.zeros((1, STEP_SAMPLES)), jnp.ones((1, STEP_SAMPLES))
     wanted = jnp.ones((1, STEP_SAMPLES, HP_MAX if kind.world.preview else 1))
@@ -133,7 +133,7 @@ def overshoot_of(controllers: Designed, kind: Kind) -> Float[Array, "starts stif
 
 
 @partial(jax.jit, static_argnames=("kind",))
-def measure(params: Params, data: Data, kind: Kind) -> Metrics:
+def measure(params: Params, data: Data, kind: ProblemStructure) -> Metrics:
     """What is measured of one controller, (stiffness, scenarios, 3)."""
     one = jax.tree.map(lambda leaf: leaf[None], designed(params, data, 1.0, kind))
     cells: Metrics = jax.tree.map(lambda leaf: leaf[0], cells_of(one, data, kind))

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
-from tuning.goals import OVERSHOOT, PEAK, Standing, measured, standing
-from tuning.objective.designed import Data, Designed, Kind, cells_of, designed, overshoot_of
-from tuning.objective.transforms import Space
-from tuning.risk import soft_worst
+from tuning.job.goals import OVERSHOOT, PEAK, Standing, measured, standing
+from tuning.job.risk import soft_worst
+from tuning.objective.designed import Data, Designed, ProblemStructure, cells_of, designed, overshoot_of
+from tuning.objective.transforms import SearchSpace
 
 PENALTY = 10.0
 """Price of a violation in units of log residual: above its Lagrange multiplier (some 2) the penalty is exact."""
@@ -75,13 +75,13 @@ class Judged(NamedTuple):
         return self.log_risk + PENALTY * (self.margins.violation + jnp.where(self.stable, missed, 0.0))
 
 
-def judged(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> Judged:
+def judged(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> Judged:
     """Design, run and judge every start; traceable. Starts are innermost in the time loop, so they cost little."""
-    space = Space(data.base, kind.axes)
+    space = SearchSpace(data.base, kind.axes)
     return judge(jax.vmap(lambda vector: designed(space.decode(vector, width), data, width, kind))(z), data, kind)
 
 
-def judge(controllers: Designed, data: Data, kind: Kind) -> Judged:
+def judge(controllers: Designed, data: Data, kind: ProblemStructure) -> Judged:
     """Run and judge designed controllers; traceable."""
     stable = jnp.all(controllers.found.spectral_radius < 1.0, axis=1)
     limits = {name: jnp.broadcast_to(limit, stable.shape) for name, limit in data.margins.items()}
@@ -101,7 +101,9 @@ def judge(controllers: Designed, data: Data, kind: Kind) -> Judged:
     return Judged(controllers, stable, margins, cells, soft, risk, [jnp.max(g, axis=(1, 2, 3)) for g in hard.values()])
 
 
-def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> tuple[Float[Array, " starts"], Any]:
+def look(
+    z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure
+) -> tuple[Float[Array, " starts"], Any]:
     """Loss of every start; traceable.
 
     Returns:
@@ -126,7 +128,7 @@ def look(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> 
     )
 
 
-def constrained(z: Float[Array, "starts size"], data: Data, kind: Kind) -> Float[Array, "starts values"]:
+def constrained(z: Float[Array, "starts size"], data: Data, kind: ProblemStructure) -> Float[Array, "starts values"]:
     """The same as a program with constraints: log risk, then what must be at most 0, whole horizons; traceable."""
     found = judged(z, data, 1.0, kind)
     margins = (1.0 + HEADROOM - found.margins.inverse).reshape(len(z), -1)
@@ -134,7 +136,7 @@ def constrained(z: Float[Array, "starts size"], data: Data, kind: Kind) -> Float
     return jnp.concatenate([found.log_risk[:, None], margins, *runs], axis=1)
 
 
-def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> Values:
+def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> Values:
     """One look at all starts, in reverse mode; traceable."""
 
     def total(z: Array) -> tuple[Array, Any]:
@@ -145,7 +147,7 @@ def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, k
     return Values(loss, gradient, *rest)
 
 
-def value_alone(z: Float[Array, "starts size"], data: Data, width: Any, kind: Kind) -> Values:
+def value_alone(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> Values:
     """The same look without the slopes, which are NaN; traceable."""
     loss, rest = look(z, data, width, kind)
     return Values(loss, jnp.full_like(z, jnp.nan), *rest)

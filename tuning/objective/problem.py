@@ -10,16 +10,16 @@ import msgspec
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
+from jaxmpc.engine.scene import ScenarioData, program_spec, scenario_data, side_by_side
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
-from jaxmpc.scene import Scene, scene_of, side_by_side, world_of
-from jaxmpc.stability.spectrum import spectrum_of
-from jaxmpc.uncompensated import uncompensated_acceleration
-from tuning.objective.designed import Data, Kind, measure
+from jaxmpc.spectra.input_disturbance import uncompensated_acceleration
+from jaxmpc.spectra.spectrum import spectrum_of
+from tuning.job.scenarios import scenarios, scene_over
+from tuning.job.settings import Level
+from tuning.job.spec import TuneSpec
+from tuning.objective.designed import Data, ProblemStructure, measure
 from tuning.objective.loss import Values, seen, seen_soft, value_alone, value_and_gradient
-from tuning.scenarios import scenarios, scene_over
-from tuning.settings import Level
-from tuning.spec import TuneSpec
 
 COARSER = 3
 """A level that only proposes judges margins at one in so many stiffnesses."""
@@ -29,7 +29,7 @@ class Problem(NamedTuple):
     """What the descent descends on."""
 
     data: Data
-    kind: Kind
+    kind: ProblemStructure
 
     def look(self, z: np.ndarray, width: float) -> Values:
         """Value and gradient of all starts, dealt out to all local devices.
@@ -75,7 +75,7 @@ class Problem(NamedTuple):
 
 
 @cache
-def _dealt(function: Callable[..., Values], kind: Kind) -> Callable[..., Values]:
+def _dealt(function: Callable[..., Values], kind: ProblemStructure) -> Callable[..., Values]:
     """Compiled once per kind and shapes; each device has its share of the starts."""
     spec: Any = PartitionSpec
     split, whole = spec("device"), spec()
@@ -109,7 +109,7 @@ def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Probl
     # Scenarios may differ in delay; margins are judged at the experiment's.
     scene = scene._replace(delay=float(spec.experiment.delay))
     experiment = met[0] if level == "arm" else msgspec.structs.replace(met[0], physics="linear")
-    kind = Kind(spec.space.axes, spec.ideal, world_of(experiment), spec.tune.precision, spec.risk)
+    kind = ProblemStructure(spec.space.axes, spec.ideal, program_spec(experiment), spec.tune.precision, spec.risk)
     cells = (len(scene.stiffness), len(met), 3)
     data = Data(
         scene=scene,
@@ -126,7 +126,7 @@ def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Probl
     if any(name.endswith("_ratio") for name in {**spec.soft, **spec.goals}):
         old = spec.met_before(met)
         scene, spectra = jax.tree.map(jnp.asarray, _seen(level, old))
-        world = world_of(old[0]) if level == "arm" else kind.world
+        world = program_spec(old[0]) if level == "arm" else kind.world
         seen_before = data._replace(scene=scene, spectra=spectra)
         data = data._replace(reference=measure(spec.before, seen_before, kind._replace(world=world)))
     return Problem(data, kind)
@@ -147,9 +147,9 @@ def _seen(level: Level, met: Sequence[Experiment]) -> tuple[Any, Any]:
     return side_by_side([_with_friction(one) for one in met]), None
 
 
-def _with_friction(experiment: Experiment) -> Scene:
+def _with_friction(experiment: Experiment) -> ScenarioData:
     """The linear world with what friction and model error do to the tip of an arm that follows the heart."""
-    scene: Any = scene_of(msgspec.structs.replace(experiment, physics="linear"))
+    scene: Any = scenario_data(msgspec.structs.replace(experiment, physics="linear"))
     acceleration = jnp.asarray(uncompensated_acceleration(experiment).T)
-    linear: Scene = scene._replace(signals=scene.signals._replace(acceleration=acceleration))
+    linear: ScenarioData = scene._replace(signals=scene.signals._replace(acceleration=acceleration))
     return linear

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxmpc.params import BOUNDS, DIAGONALS, HP_MAX, HU_MAX, Params
+from jaxmpc.synthesis.params import BOUNDS, DIAGONALS, HP_MAX, HU_MAX, Params
 
 EDGE = 1e-3
 """Start values are kept this share of the room away from their bounds, where the slope vanishes."""
@@ -48,7 +48,7 @@ FREE = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s", "Hp", "Hu")
 """Free by default; δ and R only set the scales of λ and Q."""
 
 
-class Axis(NamedTuple):
+class FreeParameter(NamedTuple):
     """One free parameter, or all entries of one diagonal."""
 
     name: str
@@ -87,7 +87,7 @@ class Axis(NamedTuple):
         return float(low), float(high - low)
 
 
-class Space:
+class SearchSpace:
     """The free parameters as one vector z, and the frozen rest.
 
     Args:
@@ -95,7 +95,7 @@ class Space:
         axes: The free ones.
     """
 
-    def __init__(self, base: Params, axes: Sequence[Axis]) -> None:
+    def __init__(self, base: Params, axes: Sequence[FreeParameter]) -> None:
         self.base, self.axes = base, tuple(axes)
         ends = np.cumsum([axis.size for axis in self.axes])
         self.size = int(ends[-1])
@@ -154,7 +154,7 @@ class Space:
         return Params(**values, **self.base.structure)
 
 
-def axis_of(name: str, bounds: tuple[float, float] | None, diagonal: bool, order: int = 1) -> Axis:
+def axis_of(name: str, bounds: tuple[float, float] | None, diagonal: bool, order: int = 1) -> FreeParameter:
     """The axis of one parameter.
 
     Args:
@@ -165,4 +165,4 @@ def axis_of(name: str, bounds: tuple[float, float] | None, diagonal: bool, order
     """
     default = Q_P_BY_ORDER.get(order, DEFAULTS[name]) if name == "Q_p" else DEFAULTS[name]
     low, high = bounds or default[:2]
-    return Axis(name, float(low), float(high), default.scale, DIAGONALS[name] if diagonal else 0)
+    return FreeParameter(name, float(low), float(high), default.scale, DIAGONALS[name] if diagonal else 0)

@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxmpc.precision import in_float64
+from jaxmpc.xla.precision import in_float64
+from tuning.job.result import LOST, TuneResult
+from tuning.job.settings import Level
 from tuning.proof.gradients import looked
-from tuning.result import LOST, TuneResult
-from tuning.search.ladder import Step
-from tuning.settings import Level
+from tuning.search.multifidelity import Step
 
 MOST = 24
 """Points compared at most, as many of each step: on the arm each costs as much as a step of a start."""

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from tuning.goals import MARGINS
+from tuning.job.goals import MARGINS
 from tuning.objective.loss import PENALTY, Values
 from tuning.objective.problem import Problem
 

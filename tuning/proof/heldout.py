@@ -8,17 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.engine.once import JitOnce
 from jaxmpc.engine.rollout import scalars
+from jaxmpc.engine.scene import ProgramSpec, ScenarioData, program_spec, simulate_cells
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
-from jaxmpc.params import Params, by_structure
-from jaxmpc.progress import progress
-from jaxmpc.scene import Scene, World, run_cells, world_of
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design_one
-from tuning.scenarios import scene_over
-from tuning.spec import TuneSpec
+from jaxmpc.synthesis.params import Params, by_structure
+from jaxmpc.terminal.progress import progress
+from jaxmpc.xla.once import JitOnce
+from tuning.job.scenarios import scene_over
+from tuning.job.spec import TuneSpec
 
 BLOCK = 12
 """Scenarios that run at a time: one program serves any number of them."""
@@ -60,7 +60,7 @@ def versus(
 
 
 def _compare(batch: Params, experiments: Sequence[Experiment], show: bool) -> Metrics:
-    world, count = world_of(experiments[0]), len(experiments)
+    world, count = program_spec(experiments[0]), len(experiments)
     block = min(BLOCK, count)
     parts = []
     with progress("compare", count, "scenarios", show) as tick:
@@ -74,7 +74,7 @@ def _compare(batch: Params, experiments: Sequence[Experiment], show: bool) -> Me
 
 
 @partial(JitOnce, static_argnames=("world",))
-def _run(batch: Params, scene: Scene, world: World) -> Metrics:
+def _run(batch: Params, scene: ScenarioData, world: ProgramSpec) -> Metrics:
     def one(params: Params) -> Any:
         gains, _ = design_one(params, scene.T_s)
         filters = scene.delay, world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
@@ -82,7 +82,7 @@ def _run(batch: Params, scene: Scene, world: World) -> Metrics:
         return scalars(gains, world.preview), contacts
 
     gains, contacts = jax.vmap(one)(batch)
-    ran = run_cells(world, gains, batch.K2, contacts, scene, "float64")
+    ran = simulate_cells(world, gains, batch.K2, contacts, scene, "float64")
 
     def per_scenario(field: Any) -> Any:
         """Scenarios before the stiffness: (controllers, scenarios, stiffness, 3)."""

@@ -14,11 +14,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxmpc.precision import in_float64
-from tuning.goals import standing
+from jaxmpc.xla.precision import in_float64
+from tuning.job.goals import standing
+from tuning.job.result import TuneResult
 from tuning.proof.gradients import SCORE, Slope, judged_on, slopes
 from tuning.proof.sensitivities import vector_of
-from tuning.result import TuneResult
 
 ACTIVE = 0.97
 """Normalised goals above this hold the controller back [-]."""
@@ -43,7 +43,7 @@ class Active(NamedTuple):
         return float(1.0 - (1.0 + RELAXED) ** -self.multiplier)
 
 
-class Limits(NamedTuple):
+class LimitStudy(NamedTuple):
     """What holds the tuned controller back."""
 
     active: list[Active]
@@ -53,7 +53,7 @@ class Limits(NamedTuple):
 
 
 @in_float64
-def limits(result: TuneResult) -> Limits:
+def limits(result: TuneResult) -> LimitStudy:
     """Active goals of the tuned controller, with multipliers from exact gradients."""
     z, last, first = vector_of(result), result.steps[-1], result.steps[0]
     runs = slopes(last.problem, z, len(last.state.z))
@@ -67,10 +67,10 @@ def limits(result: TuneResult) -> Limits:
             held.append((Active(name, None, runs[name].value, np.nan), runs[name]))
     goals, downhill = [goal for goal, _ in held], -runs[SCORE].gradient
     if not result.feasible or not np.isfinite(runs[SCORE].value):
-        return Limits(goals, np.nan)
+        return LimitStudy(goals, np.nan)
     multipliers, left = multipliers_of(downhill, [slope.gradient for _, slope in held])
     priced = [goal._replace(multiplier=float(price)) for goal, price in zip(goals, multipliers, strict=True)]
-    return Limits(priced, left / max(float(np.linalg.norm(downhill)), 1e-300))
+    return LimitStudy(priced, left / max(float(np.linalg.norm(downhill)), 1e-300))
 
 
 def active_margins(result: TuneResult) -> list[tuple[str, float, float]]:

@@ -7,16 +7,16 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxmpc import design
+from jaxmpc.engine.scene import program_spec
 from jaxmpc.experiment import Experiment
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
-from jaxmpc.params import Params
-from jaxmpc.precision import in_float64
-from jaxmpc.scene import world_of
 from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
 from jaxmpc.stability.response import loop_response
+from jaxmpc.synthesis.params import Params
 from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact, hertz
+from jaxmpc.xla.precision import in_float64
 from tuning.objective.designed import STEP_SAMPLES
 
 LOWEST_HZ, POINTS = 0.1, 500
@@ -75,7 +75,7 @@ def curves(params: Params, experiment: Experiment, ideal: bool) -> Curves:
         [np.asarray(loop_response(gains, judged, theta, cut)) for cut in ((0.0,) if ideal else (0.0, 1.0))]
     )
     worse = np.argmin(np.abs(1.0 + loops).min(axis=2), axis=0)
-    met = worlds(world_of(experiment).ideal, experiment.velocity_lowpass, hertz(experiment.sensor.lowpass_hz))
+    met = worlds(program_spec(experiment).ideal, experiment.velocity_lowpass, hertz(experiment.sensor.lowpass_hz))
     return Curves(
         theta / (2.0 * np.pi * T_s),
         loops[worse, np.arange(len(worse))],

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 
 from jaxmpc.metrics import Metrics
-from jaxmpc.precision import in_float64
-from tuning.goals import MARGINS, OVERSHOOT, UNITS, measured
+from jaxmpc.xla.precision import in_float64
+from tuning.job.goals import MARGINS, OVERSHOOT, UNITS, measured
+from tuning.job.result import TuneResult
 from tuning.proof.loops import curves
-from tuning.result import TuneResult
 
 
 class Row(NamedTuple):

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxmpc.precision import in_float64
-from tuning.objective.transforms import HORIZONS, Space
+from jaxmpc.xla.precision import in_float64
+from tuning.job.result import TuneResult
+from tuning.job.settings import Level
+from tuning.objective.transforms import HORIZONS, SearchSpace
 from tuning.proof.gradients import SCORE, Slope, on_tissue, slopes
-from tuning.result import TuneResult
-from tuning.settings import Level
 
 
 class Sensitivities(NamedTuple):
@@ -58,7 +58,7 @@ def vector_of(result: TuneResult) -> Float[np.ndarray, " size"]:
     return nearest
 
 
-def log_slopes(space: Space, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+def log_slopes(space: SearchSpace, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
     """d log parameter / dz of each unconstrained number; 0 at a bound."""
     at = jnp.asarray(z)
     values, slopes = jax.jvp(lambda vector: space.decode(vector, 2.0), (at,), (jnp.ones_like(at),))
@@ -66,7 +66,7 @@ def log_slopes(space: Space, z: Float[np.ndarray, " size"]) -> Float[np.ndarray,
     return np.concatenate(relative)
 
 
-def _beside(space: Space, z: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
+def _beside(space: SearchSpace, z: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
     """Vectors with each free horizon a sample shorter and longer, in pairs, and how far apart its logarithms are."""
     params = space.exact(z)
     whole = {name: float(getattr(params, name)) for name in HORIZONS}
@@ -84,7 +84,7 @@ def _beside(space: Space, z: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
     return np.array(rows).reshape(len(rows), len(z)), apart
 
 
-def _per_parameter(space: Space, slope: Slope, per_unit: np.ndarray, apart: Mapping[str, float]) -> np.ndarray:
+def _per_parameter(space: SearchSpace, slope: Slope, per_unit: np.ndarray, apart: Mapping[str, float]) -> np.ndarray:
     """d log metric / d log parameter, (parameters,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         # A parameter at its bound has no slope to divide by; it cannot move either.

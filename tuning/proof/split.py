@@ -7,16 +7,16 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmpc import design
-from jaxmpc.engine.once import JitOnce
+from jaxmpc.engine.scene import program_spec
 from jaxmpc.law.cascade import Gains
-from jaxmpc.precision import in_float64
-from jaxmpc.scene import world_of
+from jaxmpc.spectra.residual import Parts, residual_parts, residual_rms
+from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
 from jaxmpc.stability.loop import contact_of
-from jaxmpc.stability.residual import Parts, residual_parts, residual_rms
-from jaxmpc.stability.spectrum import Spectrum, spectrum_of
 from jaxmpc.world.contact import hertz
+from jaxmpc.xla.once import JitOnce
+from jaxmpc.xla.precision import in_float64
+from tuning.job.result import TuneResult
 from tuning.objective.problem import training
-from tuning.result import TuneResult
 
 MOST = 8
 """Scenarios of training that it is averaged over, at most."""
@@ -39,7 +39,7 @@ def split(result: TuneResult) -> Split:
     """The residual by its causes; NaN on a tissue where the loop is unstable."""
     spec = result.spec
     experiment = spec.experiment
-    world, stiffness = world_of(experiment), np.asarray(experiment.stiffness)
+    world, stiffness = program_spec(experiment), np.asarray(experiment.stiffness)
     filters = experiment.delay, experiment.velocity_lowpass, hertz(experiment.sensor.lowpass_hz)
     met = training(spec, spec.tune.train_seeds[:MOST])
     found = []

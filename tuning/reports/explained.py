@@ -7,15 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmpc.experiment import AXES
+from tuning.job.result import TuneResult
 from tuning.proof.agreement import Agreement, agreement
 from tuning.proof.gradients import SCORE
-from tuning.proof.limits import RELAXED, Limits, limits
+from tuning.proof.limits import RELAXED, LimitStudy, limits
 from tuning.proof.loops import Curves, curves
 from tuning.proof.sensitivities import Sensitivities, sensitivities
 from tuning.proof.split import CAUSES, Split, split
 from tuning.reports.html import Html, note, picture, section, table, tag
 from tuning.reports.study_figures import agreement_figure, sensitivities_figure, split_figure
-from tuning.result import TuneResult
 from tuning.search.state import FEASIBLE
 
 
@@ -27,7 +27,7 @@ class Study(NamedTuple):
     sensitivities: Sensitivities
     split: Split
     agreement: Agreement | None
-    limits: Limits
+    limits: LimitStudy
 
 
 def study(result: TuneResult) -> Study:

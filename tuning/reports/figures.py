@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from jaxmpc.experiment import AXES
-from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
-from jaxmpc.params import BOUNDS
+from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
+from jaxmpc.synthesis.params import BOUNDS
+from tuning.job.result import TuneResult
 from tuning.objective.transforms import HORIZONS
 from tuning.proof.reached import kept
-from tuning.result import TuneResult
-from tuning.search.ladder import Step
-from tuning.search.state import FEASIBLE, State
+from tuning.search.multifidelity import Step
+from tuning.search.state import FEASIBLE, SearchState
 
 HINT = "hint: "
 """What begins so as an artist's gid is shown in the HTML report while the pointer rests on it."""
@@ -99,7 +99,7 @@ def before_after_figure(result: TuneResult, path: Path) -> None:
         axes[0, 0].legend(loc="upper right", ncols=2)
 
 
-def best_of_each_look(state: State) -> np.ndarray:
+def best_of_each_look(state: SearchState) -> np.ndarray:
     """The start with the best score of each look, among those that hold the hard goals if there are any."""
     score = np.nan_to_num(state.score[: state.look], nan=np.inf)
     held = state.hard[: state.look].max(axis=2, initial=0.0) <= FEASIBLE

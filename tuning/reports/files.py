@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 
 from jaxmpc import __version__
-from jaxmpc.sealed import seal, write_atomic
-from jaxmpc.spec import write_toml
+from jaxmpc.files.sealed import seal, write_atomic
+from jaxmpc.files.toml import write_toml
+from tuning.job.result import TuneResult
 from tuning.reports.explained import study
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.loop_figures import nyquist_figure, sensitivity_figure, step_figure
 from tuning.reports.page import html_report
 from tuning.reports.study_figures import split_figure
 from tuning.reports.text import report
-from tuning.result import TuneResult
 
 
 def write(result: TuneResult, folder: Path) -> list[Path]:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxmpc.figures import ACCENT, figure
+from jaxmpc.pictures.figures import ACCENT, figure
+from tuning.job.result import TuneResult
 from tuning.proof.loops import Curves
 from tuning.reports.figures import BOTH, logarithmic
-from tuning.result import TuneResult
 
 ABREAST = 4
 """Panels side by side."""

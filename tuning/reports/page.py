@@ -8,7 +8,9 @@ import numpy as np
 
 from jaxmpc import __version__
 from jaxmpc.experiment import AXES
-from jaxmpc.params import BOUNDS, STRUCTURE
+from jaxmpc.synthesis.params import BOUNDS, STRUCTURE
+from tuning.job.result import KINDS, TuneResult
+from tuning.job.scenarios import describe
 from tuning.proof.loops import Curves
 from tuning.proof.reached import Row, kept, rows, verdict
 from tuning.reports.explained import Study, explained
@@ -26,8 +28,6 @@ from tuning.reports.text import (
     seeds_used,
     worst_margins,
 )
-from tuning.result import KINDS, TuneResult
-from tuning.scenarios import describe
 
 
 def html_report(result: TuneResult, study: Study) -> str:

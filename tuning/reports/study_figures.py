@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from jaxmpc.experiment import AXES
-from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
+from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
+from tuning.job.result import TuneResult
 from tuning.proof.agreement import Agreement
 from tuning.proof.sensitivities import Sensitivities
 from tuning.proof.split import Split
 from tuning.reports.figures import HINT, logarithmic
-from tuning.result import TuneResult
 
 PARTS = (("motion", TUNED), ("friction", ACCENT), ("noise", BASELINE))
 FADED = 0.45

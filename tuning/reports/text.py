@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmpc.experiment import AXES
-from jaxmpc.params import BOUNDS
+from jaxmpc.synthesis.params import BOUNDS
+from tuning.job.result import KINDS, TuneResult
+from tuning.job.scenarios import describe
 from tuning.proof.limits import active_margins
 from tuning.proof.reached import kept, rows, verdict
-from tuning.result import KINDS, TuneResult
-from tuning.scenarios import describe
 from tuning.search.state import FEASIBLE
 
 MARGIN_HEADS = ("M_s", "gain up dB", "gain down dB", "phase deg", "delay ms")

@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
-from tuning.objective.designed import Data, Kind
+from tuning.job.spec import TuneSpec
+from tuning.objective.designed import Data, ProblemStructure
 from tuning.objective.loss import HEADROOM, constrained
 from tuning.objective.problem import Problem
 from tuning.objective.transforms import HORIZONS
-from tuning.spec import TuneSpec
 
 REACH = 1.0
 """How far a search may go from where it begins, per unconstrained number: beyond, a correction says little."""
@@ -85,7 +85,7 @@ def minimised(
 
 
 @lru_cache(maxsize=8)
-def values_and_slopes(kind: Kind, moved: tuple[int, ...]) -> Callable[..., tuple[Array, Array]]:
+def values_and_slopes(kind: ProblemStructure, moved: tuple[int, ...]) -> Callable[..., tuple[Array, Array]]:
     """A compiled function of (numbers that move, the whole vector, data): log risk and constraints, and their slopes.
 
     Forward mode: some ten numbers move, and there are as many constraints as goals times tissues.

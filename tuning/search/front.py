@@ -12,17 +12,17 @@ import jax
 import msgspec
 import numpy as np
 
-from jaxmpc.figures import figure
+from jaxmpc.files.sealed import write_atomic
 from jaxmpc.metrics import Metrics
-from jaxmpc.params import BOUNDS, Params
-from jaxmpc.precision import in_float64
-from jaxmpc.sealed import write_atomic
-from tuning.goals import MARGINS, UNITS
+from jaxmpc.pictures.figures import figure
+from jaxmpc.synthesis.params import BOUNDS, Params
+from jaxmpc.xla.precision import in_float64
+from tuning.job.goals import MARGINS, UNITS
+from tuning.job.spec import TuneSpec
 from tuning.objective.problem import problem_of, training
-from tuning.search.ladder import climb
+from tuning.search.multifidelity import run_levels
 from tuning.search.optimise import descend, schedule
-from tuning.search.state import FEASIBLE, State
-from tuning.spec import TuneSpec
+from tuning.search.state import FEASIBLE, SearchState
 
 LEGS = 3
 """Descents with an exchange between them."""
@@ -58,7 +58,7 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
         InputError: The folder holds the state of another job.
     """
     if z is None:
-        way = climb(spec, folder, progress)
+        way = run_levels(spec, folder, progress)
         spec, z = msgspec.structs.replace(way.spec, pareto=spec.pareto), way.steps[-1].state.leader_z
     # Of a floor the smaller is the looser.
     combined = list(product(*(sorted(values, reverse=not _floor(name)) for name, values in spec.pareto.items())))
@@ -91,7 +91,7 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
     return front
 
 
-def handed_on(state: State, asked: np.ndarray, floors: np.ndarray) -> np.ndarray:
+def handed_on(state: SearchState, asked: np.ndarray, floors: np.ndarray) -> np.ndarray:
     """Starts of the next leg: per point the best vector of any point that holds its limits, else its closest one.
 
     Args:

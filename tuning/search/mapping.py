@@ -22,14 +22,14 @@ from jaxtyping import Float
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
-from jaxmpc.precision import in_float64
-from jaxmpc.progress import progress
+from jaxmpc.terminal.progress import progress
+from jaxmpc.xla.precision import in_float64
+from tuning.job.spec import TuneSpec
 from tuning.objective.loss import Values
 from tuning.objective.problem import Problem, problem_of
 from tuning.search.corrected import minimised
 from tuning.search.optimise import WORTH, note
-from tuning.search.state import State, load, save
-from tuning.spec import TuneSpec
+from tuning.search.state import SearchState, load, save
 
 PROPOSED = 2
 """Points measured in a round, for each start of the last level."""
@@ -59,7 +59,7 @@ def refine(
     folder: Path | None = None,
     name: str = "state-mapping.npz",
     show: bool = False,
-) -> State:
+) -> SearchState:
     """Look for better points around good ones, or continue from the state in its folder.
 
     Args:
@@ -76,7 +76,7 @@ def refine(
     """
     spectra, rounds = spectra_of(spec, problem, met), spec.tune.mapping
     goals = len(spec.margin_goals) + len(problem.hard_goals), len(problem.soft_goals)
-    state = State.new(z, _nothing(rounds * len(z), z.shape[1], problem), rounds, goals)
+    state = SearchState.new(z, _nothing(rounds * len(z), z.shape[1], problem), rounds, goals)
     if folder is not None:
         state = load(folder, spec.digest, state, name)
     cores = len(jax.local_devices())

@@ -11,10 +11,10 @@ import numpy as np
 import optax
 from jaxtyping import Array
 
-from jaxmpc.progress import progress
+from jaxmpc.terminal.progress import progress
+from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem
-from tuning.search.state import NAME, State, load, save
-from tuning.spec import TuneSpec
+from tuning.search.state import NAME, SearchState, load, save
 
 CLIP = 1.0
 """Largest norm of one start's gradient: one that grazes instability must not fill Adam's memory."""
@@ -84,7 +84,7 @@ def descend(
     folder: Path | None = None,
     name: str = NAME,
     show: bool = False,
-) -> State:
+) -> SearchState:
     """Run a descent, or continue it from the state in its folder.
 
     Args:
@@ -98,7 +98,7 @@ def descend(
     """
     begin, update = optimiser()
     goals = len(spec.margin_goals) + len(problem.hard_goals), len(problem.soft_goals)
-    state = State.new(z, begin(jnp.asarray(z)), len(plan.widths), goals)
+    state = SearchState.new(z, begin(jnp.asarray(z)), len(plan.widths), goals)
     if folder is not None:
         state = load(folder, spec.digest, state, name)
     saved = time.monotonic()
@@ -128,7 +128,7 @@ def name_of(state: str) -> str:
     return state.removesuffix(".npz").removeprefix("state").lstrip("-") or "state"
 
 
-def note(spec: TuneSpec, state: State) -> str:
+def note(spec: TuneSpec, state: SearchState) -> str:
     """One line for the progress display: goals, worst tissue and parameters of the leading start."""
     i, leader = state.look - 1, state.leader
     best = f"best {state.best.min():.3f}" if state.feasible else f"goals missed by × {state.closest.min():.2f}"

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from jaxmpc import __version__
-from jaxmpc.errors import InputError
-from jaxmpc.sealed import SealError, seal, unseal, write_atomic
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
 from tuning.objective.loss import Values
 
 NAME = "state.npz"
@@ -18,7 +18,7 @@ FEASIBLE = 1.0
 
 
 @dataclass
-class State:
+class SearchState:
     """The descent between two looks. Histories have one row per look; rows not yet reached are NaN."""
 
     look: int
@@ -57,14 +57,14 @@ class State:
     """The least `best` after each look [-]."""
 
     @staticmethod
-    def new(z: np.ndarray, memory: Any, looks: int, goals: tuple[int, int]) -> "State":
+    def new(z: np.ndarray, memory: Any, looks: int, goals: tuple[int, int]) -> "SearchState":
         """Before the first look; `goals` counts the hard and the soft ones."""
         starts, size = z.shape
 
         def rows(*shape: int) -> np.ndarray:
             return np.full((looks, *shape), np.nan)
 
-        return State(
+        return SearchState(
             look=0,
             z=z,
             memory=memory,
@@ -129,14 +129,14 @@ class State:
         return self.feasible and self.look - max(self.gained, since) > patience
 
 
-def save(folder: Path, key: str, state: State, name: str = NAME) -> None:
+def save(folder: Path, key: str, state: SearchState, name: str = NAME) -> None:
     """Write the state, whole or not at all."""
     arrays = {field.name: np.asarray(getattr(state, field.name)) for field in fields(state) if field.name != "memory"}
     arrays |= {f"memory_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state.memory))}
     write_atomic(folder / name, seal({"kind": "jaxmpc tuning state", "spec": key, "version": __version__}, arrays))
 
 
-def load(folder: Path, key: str, fresh: State, name: str = NAME) -> State:
+def load(folder: Path, key: str, fresh: SearchState, name: str = NAME) -> SearchState:
     """The saved state of the same spec, or the fresh one where nothing is saved.
 
     Raises:
@@ -156,4 +156,4 @@ def load(folder: Path, key: str, fresh: State, name: str = NAME) -> State:
     leaves, structure = jax.tree.flatten(fresh.memory)
     memory = jax.tree.unflatten(structure, [arrays.pop(f"memory_{i}") for i in range(len(leaves))])
     look, gained = (int(arrays.pop(name)[()]) for name in ("look", "gained"))
-    return State(memory=memory, **arrays, look=look, gained=gained)
+    return SearchState(memory=memory, **arrays, look=look, gained=gained)

@@ -8,11 +8,11 @@ import numpy as np
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
-from tuning.goals import OVERSHOOT, measured
+from tuning.job.goals import OVERSHOOT, measured
+from tuning.job.spec import TuneSpec
 from tuning.objective.problem import training
 from tuning.proof.heldout import versus
-from tuning.search.state import State
-from tuning.spec import TuneSpec
+from tuning.search.state import SearchState
 
 FIRST_SEED = 1_000_000
 """Of the scenarios searched; held-out ones among them are left out."""
@@ -20,7 +20,7 @@ NEWS = 0.01
 """How much worse than the worst in training a scenario must be to be worth adding [-]."""
 
 
-class Found(NamedTuple):
+class WorstCase(NamedTuple):
     """The worst scenario of a search."""
 
     trained: Experiment
@@ -31,7 +31,7 @@ class Found(NamedTuple):
     """The largest in training [-]."""
 
 
-def search(spec: TuneSpec, state: State, met: Sequence[Experiment], show: bool = False) -> Found | None:
+def search(spec: TuneSpec, state: SearchState, met: Sequence[Experiment], show: bool = False) -> WorstCase | None:
     """The scenario in which the best controller so far stands worst, if training knows none as bad.
 
     Args:
@@ -50,7 +50,7 @@ def search(spec: TuneSpec, state: State, met: Sequence[Experiment], show: bool =
     known, new = float(values[: len(met)].max()), values[len(met) :]
     if new.max() <= known * (1.0 + NEWS):
         return None
-    return Found(pool[int(np.argmax(new))], float(new.max()), known)
+    return WorstCase(pool[int(np.argmax(new))], float(new.max()), known)
 
 
 def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> np.ndarray:

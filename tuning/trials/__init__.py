@@ -18,18 +18,18 @@ import jax
 import msgspec
 import numpy as np
 
-from jaxmpc.arm_settings import robot_on_its_tissue
 from jaxmpc.engine.arm_rollout import ArmSignals
-from jaxmpc.errors import InputError
+from jaxmpc.engine.scene import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
-from jaxmpc.params import Params, by_structure
-from jaxmpc.precision import in_float64
-from jaxmpc.progress import progress
-from jaxmpc.scene import scene_of, world_of
-from jaxmpc.sealed import SealError, digest, seal, unseal, write_atomic
+from jaxmpc.experiment.tables import robot_on_its_tissue
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import SealError, digest, seal, unseal, write_atomic
 from jaxmpc.status import Status
+from jaxmpc.synthesis.params import Params, by_structure
+from jaxmpc.terminal.progress import progress
 from jaxmpc.world.contact import hertz
-from tuning.scenarios import Rhythm, Scenarios, scenario
+from jaxmpc.xla.precision import in_float64
+from tuning.job.scenarios import Rhythm, Scenarios, scenario
 from tuning.trials.program import block_program
 
 DURATION, SETTLE = 8.0, 2.0
@@ -209,7 +209,7 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
     def compute(first: int) -> Outcomes:
         constant, varied, structure = of_all_blocks()
         trials = [job.trial(first + i) for i in range(BLOCK)]
-        met = [_judged_from_the_start(scene_of(trial).signals, job.base) for trial in trials[:POOL]]
+        met = [_judged_from_the_start(scenario_data(trial).signals, job.base) for trial in trials[:POOL]]
         signals = jax.tree.map(lambda *parts: np.concatenate(parts), *met)
         robots = [jax.tree.leaves(robot_on_its_tissue(trial)) for trial in trials]
         rows = np.array([[leaves[k] for k in varied] for leaves in robots], np.float64)
@@ -219,7 +219,7 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
         found: dict[int, list[np.ndarray]] = {}
         filters = base.velocity_lowpass, hertz(base.sensor.lowpass_hz)
         for members in by_structure(job.controllers):
-            program = block_program(world_of(base).kind, base.reference.preview, varied, structure)
+            program = block_program(program_spec(base).kind, base.reference.preview, varied, structure)
             batch = Params.stack([job.controllers[i] for i in members])
             shared = batch, constant, base.sampling_time, filters
             outcomes = program((signals, own), shared)

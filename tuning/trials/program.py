@@ -7,23 +7,23 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxmpc.engine.accelerate import implicit
 from jaxmpc.engine.arm_rollout import ArmSignals, Cell, Program, run
-from jaxmpc.engine.blocks import over_blocks
+from jaxmpc.engine.forward_dynamics import implicit
 from jaxmpc.engine.rollout import HIGHEST_FORCE, scalars
 from jaxmpc.stability import ILL_POSED_ABOVE
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.status import Status
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.arm import chain
-from jaxmpc.world.robot import Kind, Robot
+from jaxmpc.world.robot import Robot, RobotStructure
+from jaxmpc.xla.blocks import over_blocks
 
 AT_A_TIME = 12
 """Motions that run at a time on one device: with the trials on each, the lanes stay in the cache (measured)."""
 
 
 @lru_cache(maxsize=8)
-def block_program(kind: Kind, preview: bool, varied: tuple[int, ...], structure: Any) -> Callable[..., Any]:
+def block_program(kind: RobotStructure, preview: bool, varied: tuple[int, ...], structure: Any) -> Callable[..., Any]:
     """A compiled function of ((signals, own), (params, constant, T_s, filters)).
 
     Args:

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxmpc.experiment import AXES, Experiment
-from jaxmpc.figures import ACCENT, BASELINE, TUNED, figure
-from jaxmpc.sealed import write_atomic
-from jaxmpc.spec import write_toml
+from jaxmpc.files.sealed import write_atomic
+from jaxmpc.files.toml import write_toml
+from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
 from jaxmpc.status import Status
-from tuning.scenarios import describe
+from tuning.job.scenarios import describe
 from tuning.trials import LARGEST_ERROR, Job, Outcomes
 
 Z_95 = 1.959963984540054
@@ -128,7 +128,7 @@ def trials_figure(path: Path, names: Sequence[str], found: Outcomes) -> None:
 def _drawn(trial: Experiment) -> list[Any]:
     motion, arm = trial.motion, trial.arm
     name = motion.kind if motion.kind != "rhythm" else f"{motion.rhythm}/{motion.ventilation}"
-    joints = zip(arm.coulomb, arm.believed_coulomb or arm.coulomb, strict=True)
+    joints = zip(arm.coulomb, arm.nominal_coulomb or arm.coulomb, strict=True)
     friction = [true / nominal if nominal else 1.0 for true, nominal in joints]
     cable = [_short(x) if arm.cable_hz else "" for x in (arm.cable_hz, arm.cable_damping)]
     numbers = [_short(trial.stiffness[0]), trial.delay, _short(arm.mass_error), *map(_short, friction)]

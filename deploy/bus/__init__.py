@@ -1,0 +1,1 @@
+"""The CAN bus through python-can, and its log."""

@@ -1,0 +1,126 @@
+"""`jaxmpc check`: is this file a controller that may run? Works with numpy alone."""
+
+import argparse
+import hashlib
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxmpc.files.errors import InputError
+
+if TYPE_CHECKING:
+    from deploy.controller.arm_model import ArmModel
+    from deploy.controller.artifact import Artifact
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument("artifact", type=Path, help="a frozen controller, as `jaxmpc freeze` writes it (.npz)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check an artifact and print what it is; 1 if it is refused.
+
+    Raises:
+        InputError: There is no such file.
+    """
+    from deploy.controller.artifact import TOLERANCE, ArtifactError, check_golden, load
+    from deploy.controller.margin_floor import UNITS
+
+    path: Path = args.artifact
+    if not os.path.lexists(path):
+        raise InputError("artifact", path, "an existing file", "Make one with `jaxmpc freeze PARAMS.toml -o FILE`.")
+    try:
+        artifact = load(path)
+    except ArtifactError as error:
+        print(f"jaxmpc check: refused: {error}", file=sys.stderr)
+        return 1
+
+    reference = "known along the horizon" if artifact.preview else "held constant along the horizon"
+    print(f"{path}: intact\n  sha256      {hashlib.sha256(path.read_bytes()).hexdigest()}")
+    runs = "runs: `jaxmpc run` drives an arm with it" if artifact.arm else "replay only: it drives no arm"
+    print(f"  kind        {artifact.kind}, {runs}")
+    print(f"  T_s         {artifact.T_s:g} s\n  K2          {artifact.K2:g} 1/s\n  reference   {reference}")
+    guard, gain = artifact.gains.guard, "not guarded: the same whatever the force does"
+    if guard is not None:
+        gain = f"guarded: falls while the force swings by more than {guard.sensitivity**-0.5:.3g} N (RMS)"
+    print(f"  gain        {gain}")
+    for title, table in (("made by", artifact.provenance), ("params", artifact.params)):
+        print(f"  {title:<11} {', '.join(f'{key} {_short(value)}' for key, value in table.items()) or '-'}")
+    if artifact.arm is not None:
+        _print_arm(artifact.arm)
+    print("\n  stiffness  delay  damping  " + "".join(f"{key:>18}" for key in (*UNITS, "spectral_radius")))
+    for row in artifact.margins:
+        values = "".join(f"{row[key]:>18.4g}" for key in (*UNITS, "spectral_radius"))
+        print(f"  {row['stiffness']:>9g}  {row['delay']:>5}  {'ideal' if row['ideal'] else 'as run':<7}  {values}")
+    sign = {key: "≤" if key == "M_s" else "≥" for key in artifact.floor}
+    limits = [f"{sign[key]} {artifact.floor[key]:g}" if key in sign else "" for key in UNITS]
+    print(f"  {'limit':<25}  " + "".join(f"{limit:>18}" for limit in (*limits, "< 1")))
+    print(f"\n  golden trace: {len(artifact.golden_v)} samples replayed,", end=" ")
+    torques = f" and {TOLERANCE:g} N m" if artifact.arm else ""
+    print(f"deviation {check_golden(artifact):.1e} of the largest command (limit {TOLERANCE:g}{torques})")
+    took, what = _times(artifact), "tick of the arm, without the bus" if artifact.arm else "step of three axes"
+    print(f"  one {what}: median {took[50]:.1f} µs, 99 % within {took[99]:.1f} µs")
+    return 0
+
+
+def _print_arm(arm: "ArmModel") -> None:
+    """Model and limits of what drives an arm."""
+    from deploy.controller.limits import UNIT
+
+    nominal, links = arm.nominal, arm.chain.links
+    friction = "cancels friction" if arm.compensated else "cancels no friction"
+    print(f"\n  robot       {arm.robot}, tip {arm.tool_length:g} m beyond the elbow")
+    print(f"  model       links {sum(link.mass for link in links):.3f} kg × {nominal.mass_scale:g}", end="")
+    print(f", tool error {nominal.tool_error:g} kg, {friction}")
+    print(f"  posture     {_list(arm.posture)} rad")
+    print(f"  velocities  low-pass {arm.velocity_cutoff:g} rad/s, encoders of {arm.encoder_counts} counts")
+    print("\n  limit")
+    for name, value in arm.limits.plain().items():
+        print(f"  {name:<22}{_list(value)} {UNIT[name]}")
+
+
+def _times(artifact: "Artifact", count: int = 20_000) -> list[float]:
+    """Percentiles 0 to 99 of the time of one step or, on the arm, tick [µs]."""
+    from deploy.runtime.arm import ArmRuntime
+    from deploy.runtime.linear import Runtime
+
+    force, force_ref = artifact.golden_force[0].tolist(), artifact.golden_force_ref[0].tolist()
+    if artifact.arm is None:
+        runtime = Runtime(artifact)
+
+        def once() -> None:
+            runtime.step(force, force_ref)
+    else:
+        arm, q, applied = (
+            ArmRuntime(artifact),
+            artifact.arm.golden_q[0].tolist(),
+            artifact.arm.golden_applied[0].tolist(),
+        )
+
+        def once() -> None:
+            arm.control(q, arm.velocity(q), force, force_ref)
+            arm.applied(applied)
+
+    took = []
+    for _ in range(count):
+        start = time.perf_counter_ns()
+        once()
+        took.append(time.perf_counter_ns() - start)
+    return [each / 1e3 for each in sorted(took)[:: count // 100]]
+
+
+def _list(value: Any) -> str:
+    """Nested numbers in a few digits."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_list, value))}]"
+    return f"{value:.4g}"
+
+
+def _short(value: Any) -> str:
+    """A value on the same line: long lists by their first entries."""
+    if isinstance(value, list) and len(value) > 3:
+        return f"[{', '.join(map(str, value[:3]))}, … {len(value)} in all]"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,1 @@
+"""A frozen controller: its data, its file, its limits and the margins that it promises."""

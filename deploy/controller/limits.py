@@ -1,0 +1,185 @@
+"""What the robot may do at most: declared with every controller, checked, and bounded by what nobody may exceed."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from jaxmpc.files.errors import InputError
+
+Four = tuple[float, float, float, float]
+Range = tuple[float, float]
+Ranges = tuple[Range, Range, Range, Range]
+Box = tuple[Range, Range, Range]
+
+MECHANICAL_STOPS: Ranges = ((-2.6, 2.6), (-2.0, 2.0), (-2.8, 2.8), (-0.9, 3.15))
+"""Of the joints [rad] (WAM User's Manual; J4 so that it contains home)."""
+REACH = 1.0
+"""Radius that contains all the tip can reach [m] (Barrett)."""
+
+LOWEST: Mapping[str, float | Four] = {
+    "force": 0.1,
+    "joint_torque": (1.0, 1.0, 1.0, 1.0),
+    "motor_torque": (0.1, 0.1, 0.1, 0.1),
+    "torque_rate": (200.0, 200.0, 200.0, 200.0),
+    "joint_velocity": (0.01, 0.01, 0.01, 0.01),
+    "tip_velocity": 0.01,
+    "least_singular_value": 0.02,
+}
+"""Nobody can declare less. A smaller torque or rate would leave no whole puck unit between two limits; a smaller
+singular value would not keep the arm from losing a direction."""
+HIGHEST: Mapping[str, float | Four] = {
+    "force": 100.0,
+    "joint_torque": (75.6, 101.7, 60.53, 28.8),
+    "motor_torque": (1.8, 1.8, 1.8, 1.6),
+    "torque_rate": (12000.0, 12000.0, 12000.0, 12000.0),
+    "joint_velocity": (2.5, 2.5, 2.5, 2.5),
+    "tip_velocity": 1.0,
+    "least_singular_value": 0.3,
+}
+"""Nobody can declare more: cable limits MT of the pucks (4860 and 4320 units at 2700 per N m) and what they make at
+the joints, OpenWAM's fastest joint, the speed at which the arm's own safety board cuts it off (wam.md §2.5, §3.5)."""
+UNIT: Mapping[str, str] = {
+    "force": "N",
+    "joint_torque": "N m",
+    "motor_torque": "N m",
+    "torque_rate": "N m/s",
+    "joint_velocity": "rad/s",
+    "tip_velocity": "m/s",
+    "joint_range": "rad",
+    "workspace": "m",
+    "least_singular_value": "m/rad",
+}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What is never exceeded; whatever exists is complete, finite and within what nobody can exceed.
+
+    Attributes:
+        force: Largest force on the tissue, Euclidean norm [N].
+        joint_torque: Largest torque of each joint, either way (4,) [N m].
+        motor_torque: Largest torque of each motor, either way (4,) [N m]; J2 and J3 share motors 2 and 3.
+        torque_rate: Fastest change of each joint's torque (4,) [N m/s].
+        joint_velocity: Fastest each joint may turn (4,) [rad/s].
+        tip_velocity: Fastest the tip, or the elbow, may move [m/s].
+        joint_range: Lowest and highest angle of each joint (4, 2) [rad].
+        workspace: Lowest and highest x, y and z of the tip in the shoulder's frame (3, 2) [m].
+        least_singular_value: Smallest that the tip's 3×4 Jacobian may have [m/rad].
+
+    Raises:
+        InputError: A value is malformed or out of bounds.
+    """
+
+    force: float
+    joint_torque: Four
+    motor_torque: Four
+    torque_rate: Four
+    joint_velocity: Four
+    tip_velocity: float
+    joint_range: Ranges
+    workspace: Box
+    least_singular_value: float
+
+    def __post_init__(self) -> None:
+        for name, highest in HIGHEST.items():
+            value, lowest = getattr(self, name), LOWEST[name]
+            if isinstance(highest, tuple) and isinstance(lowest, tuple):
+                numbers = _sequence(name, value, 4)
+                bounds = zip(numbers, lowest, highest, strict=True)
+                checked: Any = tuple(_between(f"{name}[{i}]", *each, UNIT[name]) for i, each in enumerate(bounds))
+            else:
+                checked = _between(name, value, lowest, highest, UNIT[name])
+            object.__setattr__(self, name, checked)
+        reach = ((-REACH, REACH),) * 3
+        object.__setattr__(self, "joint_range", _ranges("joint_range", self.joint_range, MECHANICAL_STOPS))
+        object.__setattr__(self, "workspace", _ranges("workspace", self.workspace, reach))
+
+    @classmethod
+    def default(cls, tip: Sequence[float]) -> "Limits":
+        """Sensible ones for work on soft tissue around a place.
+
+        Torques are half of what the cables bear (wam.md §2.5): libbarrett's own 20 N m on J2 leave 12 beside gravity,
+        and a controller that meets a beating heart needs 20 for some milliseconds; cut off there it may lose its
+        stability, as any loop with a gain reduction margin does. Joint ranges are OpenWAM's (§1.3); the rest is chosen
+        here. The law turns counts of the force sensor into torque at once: clean runs of Table I on the simulated arm
+        change it by up to 1.8, 4.7, 1.3 and 1.0 N m a sample, on viscous tissue (1900 N/m) by 2.9, 7.5, 2.0 and 1.5.
+        So the usual 1 N m a sample would clamp all the time; 1.3 times the largest of those does not.
+
+        Args:
+            tip: Where the tip works, in the shoulder's frame (3,) [m].
+        """
+        box = tuple((max(at - 0.10, -REACH), min(at + 0.10, REACH)) for at in _sequence("tip", tip, 3))
+        return cls(
+            force=15.0,
+            joint_torque=(37.0, 50.0, 30.0, 14.0),
+            motor_torque=(1.8, 1.8, 1.8, 1.6),
+            torque_rate=(4000.0, 10000.0, 3000.0, 2000.0),
+            joint_velocity=(2.0, 2.0, 2.0, 2.0),
+            tip_velocity=0.28,
+            joint_range=((-2.60, 2.60), (-1.96, 1.96), (-2.73, 2.73), (-0.86, 3.13)),
+            workspace=(box[0], box[1], box[2]),
+            least_singular_value=0.05,
+        )
+
+    @classmethod
+    def from_plain(cls, table: Any) -> "Limits":
+        """Limits from plain data, as a file holds them.
+
+        Raises:
+            InputError: It is no table, lacks a limit, has an unknown one, or a value is out of bounds.
+        """
+        names = [field.name for field in fields(cls)]
+        if not isinstance(table, Mapping):
+            raise InputError("limits", table, f"a table of {', '.join(names)}", "Declare every limit.")
+        if missing := [name for name in names if name not in table]:
+            remedy = "Every limit is mandatory: decide on it and freeze the controller again."
+            raise InputError(f"limits.{missing[0]}", "missing", f"given [{UNIT[missing[0]]}]", remedy)
+        if unknown := sorted(str(name) for name in table if name not in names):
+            raise InputError(f"limits.{unknown[0]}", "unknown", f"one of {', '.join(names)}", "Leave it out.")
+        return cls(**table)
+
+    def plain(self) -> dict[str, Any]:
+        """Plain data: numbers, and lists of them; `from_plain` takes it back."""
+        return {name: _lists(value) for name, value in asdict(self).items()}
+
+
+def _between(name: str, value: Any, lowest: Any, highest: Any, unit: str) -> float:
+    number = _number(name, value)
+    if not lowest <= number <= highest:
+        remedy = "Nobody can declare a limit outside of that: see HIGHEST and LOWEST in deploy/controller/limits.py."
+        raise InputError(f"limits.{name}", f"{number:g}", f"in [{lowest:g}, {highest:g}] {unit}", remedy)
+    return number
+
+
+def _ranges(name: str, value: Any, widest: Sequence[Range]) -> Any:
+    pairs = [_sequence(f"{name}[{i}]", pair, 2) for i, pair in enumerate(_items(name, value, len(widest)))]
+    for i, ((low, high), (lowest, highest)) in enumerate(zip(pairs, widest, strict=True)):
+        if not lowest <= low < high <= highest:
+            bound = f"a range from low to high within [{lowest:g}, {highest:g}] {UNIT[name]}"
+            raise InputError(f"limits.{name}[{i}]", f"{low:g} to {high:g}", bound, "Nothing beyond can be reached.")
+    return tuple(pairs)
+
+
+def _sequence(name: str, value: Any, length: int) -> tuple[float, ...]:
+    return tuple(_number(f"{name}[{i}]", each) for i, each in enumerate(_items(name, value, length)))
+
+
+def _items(name: str, value: Any, length: int) -> list[Any]:
+    if isinstance(value, str | bytes | Mapping) or not hasattr(value, "__iter__") or len(list(value)) != length:
+        raise InputError(f"limits.{name}", value, f"a list of {length}", "Give one entry for each.")
+    return list(value)
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        number = math.nan if isinstance(value, bool | str | bytes) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"limits.{name}", value, "a finite number", "Say it in SI units.")
+    return number
+
+
+def _lists(value: Any) -> Any:
+    return [_lists(each) for each in value] if isinstance(value, tuple) else value

@@ -1,0 +1,96 @@
+"""The margins that a frozen controller has at each stiffness, and the floor that it promises to keep."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from jaxmpc.files.errors import InputError
+
+UNITS = {
+    "M_s": "",
+    "gain_margin_db": " dB",
+    "gain_reduction_db": " dB",
+    "phase_margin_deg": "°",
+    "delay_margin_s": " s",
+}
+"""What a floor may bound, and its unit: M_s from above, the others from below."""
+CASE = ("stiffness", "delay", "ideal")
+"""What a row of margins holds for: stiffness [N/m], delay [samples], ideal damping or as it runs."""
+
+
+def number(key: str, value: Any) -> float:
+    """A number, or the word "inf" for infinity, which JSON has no number for.
+
+    Raises:
+        InputError: It is neither.
+    """
+    try:
+        result = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        result = math.nan
+    if math.isnan(result):
+        raise InputError(key, value, "a number", "Evaluate the controller again.")
+    return result
+
+
+def plain_margins(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of margins as plain data.
+
+    Raises:
+        InputError: There is none, or one has other keys or values than it must have.
+    """
+    known = {*CASE, *UNITS, "spectral_radius"}
+    plain = []
+    if not isinstance(rows, list | tuple):
+        raise InputError("margins", rows, "a list of tables", "Give one for each stiffness.")
+    for row in rows:
+        if not isinstance(row, Mapping) or set(row) != known:
+            raise InputError("margins", row, f"a table of {', '.join(sorted(known))}", "Give each of them once.")
+        values = {key: number(key, row[key]) for key in sorted(known - {"ideal"})}
+        if not 0.0 < values["stiffness"] < math.inf:
+            raise InputError("stiffness", values["stiffness"], "positive and finite [N/m]", "Give the tissue's own.")
+        if values["delay"] not in (1.0, 2.0):
+            raise InputError("delay", values["delay"], "1 or 2 samples", "Longer ones are judged by delay_margin_s.")
+        if row["ideal"] not in (True, False):
+            raise InputError(
+                "ideal", row["ideal"], "true or false", "Say whether the damping was the paper's ideal one."
+            )
+        plain.append({**values, "delay": int(values["delay"]), "ideal": bool(row["ideal"])})
+    if not plain:
+        raise InputError("margins", "none", "given for at least one stiffness", "Evaluate them where it will be used.")
+    return plain
+
+
+def plain_floor(floor: Mapping[str, Any]) -> dict[str, float]:
+    """A declared floor as plain data.
+
+    Raises:
+        InputError: It bounds nothing, something unknown, or by a value that cannot refuse anything.
+    """
+    if not isinstance(floor, Mapping) or not floor or not set(floor) <= set(UNITS):
+        raise InputError("floor", floor, f"a table of one or more of {', '.join(UNITS)}", "Declare what it must keep.")
+    plain = {key: number(f"floor.{key}", floor[key]) for key in floor}
+    for key, bound in plain.items():
+        if not 0.0 < bound < math.inf:
+            raise InputError(f"floor.{key}", bound, "positive and finite", "Leave it out if it is not to be bounded.")
+    return plain
+
+
+def check(margins: Iterable[Mapping[str, Any]], floor: Mapping[str, float]) -> None:
+    """Stability first, then the floor, in every row.
+
+    Raises:
+        InputError: A row is unstable or below the floor; it names stiffness, value and bound.
+    """
+    for row in margins:
+        damping = "ideal damping" if row["ideal"] else "as it runs"
+        case = f"at {row['stiffness']:g} N/m ({damping}, delay {row['delay']})"
+        if not row["spectral_radius"] < 1.0:
+            remedy = "The loop is unstable there: tune again with that stiffness in the set."
+            raise InputError(f"spectral_radius {case}", f"{row['spectral_radius']:.6g}", "below 1", remedy)
+        for key, bound in floor.items():
+            value, most = row[key], key == "M_s"
+            if not (value <= bound if most else value >= bound):
+                limit = f"{'at most' if most else 'at least'} {bound:g}{UNITS[key]}, the declared floor"
+                remedy = "Tune again with that goal, or declare a floor that it keeps."
+                raise InputError(f"{key} {case}", f"{value:.6g}{UNITS[key]}", limit, remedy)

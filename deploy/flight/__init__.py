@@ -1,0 +1,1 @@
+"""Flight recordings: written while the arm moves, replayed afterwards."""

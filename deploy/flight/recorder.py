@@ -1,0 +1,218 @@
+"""The flight recorder: the last seconds of every signal, in memory until something asks for them.
+
+A recording is a sealed npz (`jaxmpc.files.sealed`) with one array per signal, (samples, width), under the names and in
+the units of the simulator's own trace (`ArmSample`), and more that only a robot has. Its header says which
+controller flew, why the recording was written, and both clocks: the monotonic one that stamps samples, and what
+the wall clock showed at the same moment.
+"""
+
+import struct
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmpc.files.sealed import LARGEST, SealError, seal, unseal, write_atomic
+
+SCHEMA, VERSION = "jaxmpc flight recording", 1
+SIMULATED: Mapping[str, tuple[int, str]] = {
+    "time": (1, "s"),
+    "force": (3, "N"),
+    "force_ref": (3, "N"),
+    "u": (3, "N"),
+    "v": (3, "m/s²"),
+    "a": (3, "m/s²"),
+    "p_hat": (3, "m/s²"),
+    "gain": (1, "-"),
+    "tip": (3, "m"),
+    "q": (4, "rad"),
+    "torque": (4, "N m"),
+}
+"""Signals that the simulator has too, with width and unit. `time` is that since the first cycle; `force` and `q`
+are what the law was given (a force that it had to do without is NaN); `torque` is what the frame really carried."""
+ROBOT: Mapping[str, tuple[int, str]] = {
+    "qd": (4, "rad/s"),
+    "wanted": (4, "N m"),
+    "applied": (4, "N m"),
+    "state": (1, ""),
+    "reason": (1, ""),
+    "clamped": (1, ""),
+    "counts": (4, "counts"),
+    "position_age": (4, "cycles"),
+    "force_age": (1, "cycles"),
+    "lateness": (1, "s"),
+    "compute": (1, "s"),
+}
+"""Signals that only a robot has: `wanted` is the law's torque, `applied` what the clamps left of it and the
+observers were told; `state`, `reason` and `clamped` are the numbers that the header's `names` spell out."""
+COLUMNS = {**SIMULATED, **ROBOT}
+
+
+class RecordingError(ValueError):
+    """A file is not a flight recording; the message is a sentence that says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlightRecording:
+    """What a file holds.
+
+    Attributes:
+        header: Plain data: `artifact` (sha256), `reason`, `T_s` [s], `columns` and whatever else was given.
+        signals: Arrays (samples, width) by name, oldest sample first.
+    """
+
+    header: dict[str, Any]
+    signals: dict[str, np.ndarray]
+
+
+class FlightRecorder:
+    """A ring of rows of numbers, allocated once."""
+
+    def __init__(
+        self, columns: Mapping[str, tuple[int, str]] = COLUMNS, seconds: float = 10.0, rate: float = 1000.0
+    ) -> None:
+        """Allocate.
+
+        Args:
+            columns: Width and unit of each signal, in the order of a row.
+            seconds: Length of the ring [s].
+            rate: Rows per second [1/s].
+        """
+        self.columns = dict(columns)
+        self.width = sum(width for width, _ in self.columns.values())
+        self.length = max(1, round(seconds * rate))
+        self.refused = 0
+        """Rows that were not numbers, or of another length."""
+        row = struct.Struct(f"{self.width}d")
+        if row.size * self.length > LARGEST // 2:
+            raise ValueError(f"a recording of {row.size * self.length} bytes could not be read again")
+        self._pack, self._stride, self._size = row.pack_into, row.size, row.size * self.length
+        self._full, self._spare = _Ring(self._size), _Ring(self._size)
+        self._writer: threading.Thread | None = None
+        self._result = ""
+
+    def __len__(self) -> int:
+        return min(self._full.written, self.length)
+
+    def append(self, row: Sequence[float]) -> None:
+        """Keep a row, all signals one after the other; the oldest is overwritten. It never raises."""
+        ring = self._full
+        try:
+            self._pack(ring.memory, ring.offset, *row)
+        except struct.error:
+            self.refused += 1
+            ring.memory[ring.offset : ring.offset + self._stride] = b"\xff" * self._stride  # all NaN
+            return
+        ring.written += 1
+        ring.offset += self._stride
+        if ring.offset == self._size:
+            ring.offset = 0
+
+    def signals(self) -> dict[str, np.ndarray]:
+        """A copy of everything that is in the ring, oldest row first."""
+        return self._split(self._full)
+
+    def write(self, path: Path, header: Mapping[str, Any]) -> str:
+        """Write a recording, in some tens of milliseconds: torques must be off by then.
+
+        Args:
+            path: Where to.
+            header: Plain data: `artifact`, `reason`, `T_s` and whatever else is worth knowing.
+
+        Returns:
+            A sentence: what was written, or why nothing was. Then the rows are still in memory.
+        """
+        return self._write(self._full, path, header)
+
+    def write_behind(self, path: Path, header: Mapping[str, Any]) -> bool:
+        """Let a thread write while the loop goes on in a second ring, which begins empty.
+
+        Returns:
+            Whether it began; not while an earlier one is being written. `finish` tells how it ended.
+        """
+        if self._writer is not None and self._writer.is_alive():
+            return False
+        full, self._full = self._full, self._spare
+        self._spare = full
+        self._full.written = self._full.offset = 0
+
+        def work() -> None:
+            self._result = self._write(full, path, header)
+
+        self._writer = threading.Thread(target=work, name="flight recorder", daemon=True)
+        self._writer.start()
+        return True
+
+    def finish(self, timeout: float = 10.0) -> str:
+        """Wait for the thread [s] and return its sentence; empty if there was none."""
+        if self._writer is not None:
+            self._writer.join(timeout)
+            if self._writer.is_alive():
+                return f"the flight recording is still not written after {timeout:g} s"
+        return self._result
+
+    def _split(self, ring: "_Ring") -> dict[str, np.ndarray]:
+        table = np.frombuffer(ring.memory).reshape(self.length, self.width)
+        first = ring.written % self.length if ring.written > self.length else 0
+        rows = np.concatenate([table[first : min(ring.written, self.length)], table[:first]])
+        ends = np.cumsum([width for width, _ in self.columns.values()])[:-1]
+        return dict(zip(self.columns, np.split(rows, ends, axis=1), strict=True))
+
+    def _write(self, ring: "_Ring", path: Path, header: Mapping[str, Any]) -> str:
+        try:
+            signals = self._split(ring)
+            count = min(ring.written, self.length)
+            clocks = {"monotonic_ns": time.monotonic_ns(), "wall_ns": time.time_ns()}
+            columns = {name: list(column) for name, column in self.columns.items()}
+            about = {"schema": SCHEMA, "version": VERSION, "columns": columns, "refused": self.refused, **clocks}
+            write_atomic(path, seal({**header, **about}, signals))
+        except OSError as error:
+            return (
+                f"the flight recording could not be written to {path}: {error.strerror or error}; it is kept in memory"
+            )
+        except (TypeError, ValueError) as error:
+            return f"the flight recording could not be sealed: {error}; it is kept in memory"
+        return f"flight recording: {count} samples in {path}"
+
+
+class _Ring:
+    """Memory, the place of the next row in it, and how many rows there have ever been."""
+
+    def __init__(self, size: int) -> None:
+        # NaN throughout. Touched now: a page first written within a cycle would have to be fetched within it.
+        self.memory = bytearray(b"\xff" * size)
+        self.offset = self.written = 0
+
+
+def read(path: Path | str) -> FlightRecording:
+    """A recording from a file.
+
+    Raises:
+        RecordingError: It cannot be read, was changed, or is no recording.
+    """
+    try:
+        with open(path, "rb") as file:
+            header, signals = unseal(file.read(LARGEST + 1))
+    except OSError as error:
+        raise RecordingError(f"{path}: it cannot be read: {error.strerror}") from None
+    except SealError as error:
+        raise RecordingError(f"{path}: {error}") from None
+    if header.get("schema") != SCHEMA:
+        raise RecordingError(f"{path}: it is sealed, but no flight recording: its schema is {header.get('schema')!r}")
+    version = header.get("version")
+    if version != VERSION:
+        raise RecordingError(f"{path}: it has version {version!r} of the format; this jaxmpc reads {VERSION}")
+    columns = header.get("columns")
+    if not isinstance(columns, dict) or set(columns) != set(signals):
+        raise RecordingError(f"{path}: its arrays are not the columns that its header lists")
+    lengths = {array.shape[0] if array.ndim == 2 else -1 for array in signals.values()}
+    if any(array.dtype != np.float64 for array in signals.values()) or len(lengths) > 1 or lengths == {-1}:
+        raise RecordingError(f"{path}: its arrays are not tables of float64 of the same length")
+    for name, (width, _) in SIMULATED.items():
+        if name in signals and signals[name].shape[1] != width:
+            raise RecordingError(f"{path}: {name} has {signals[name].shape[1]} columns, not {width}")
+    return FlightRecording(header, signals)

@@ -1,0 +1,241 @@
+"""A flight recording through the recorded runtime once more: where does it part from what flew?
+
+Every input comes from the recording: angles, velocities, force, wanted force and the torques that were applied. So
+nothing feeds back, and what remains of a difference is a difference of the two programs.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from deploy.controller.artifact import Artifact
+from deploy.flight.recorder import COLUMNS, FlightRecording, RecordingError
+from deploy.runtime.arm import ArmRuntime
+
+INPUTS = ("time", "q", "qd", "force", "force_ref", "applied", "a", "state", "position_age")
+COMPARED: Mapping[str, str] = {
+    "qd": "rad/s",
+    "u": "N",
+    "v": "m/s²",
+    "a": "m/s²",
+    "p_hat": "m/s²",
+    "gain": "-",
+    "wanted": "N m",
+}
+"""Signals that are computed anew, with units."""
+LAW = ("u", "v", "a", "p_hat", "gain")
+"""Those that the cascades and the guard make; elsewhere than in contact they rest."""
+TOLERANCE = 1e-9
+"""Largest difference, as a share of the largest value or of 1 in its unit, whichever is more: rounding stays below
+1e-12, another law or gain does not."""
+SETTLING = 2.0
+"""Left out at the beginning of a recording that begins (almost) in contact [s]: the observers' earlier samples are not
+in it. Half of that brings the paper's text controller within 1e-12. A guard's gain would take minutes: it is taken
+from the recording until then."""
+FILTER = 0.3
+"""Left out after a missing position [s], in which the velocity's low-pass forgets."""
+SERVO = ("armed", "approach", "retract", "stopped")
+"""States in which the torque is that of a servo on the tip."""
+
+
+class Inputs(NamedTuple):
+    """A recording as the law sees it; all but `T_s` have one row a sample."""
+
+    T_s: float
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    force: np.ndarray
+    """NaN where it was bridged."""
+    force_ref: np.ndarray
+    """(n, 3), with preview (n, 3, H)."""
+    applied: np.ndarray
+    a: np.ndarray
+    contact: np.ndarray
+    """Whether the law was in control."""
+    enters: np.ndarray
+    """Whether it was for the first time."""
+    servo: np.ndarray
+    """Whether the servo was."""
+    judged: np.ndarray
+    """Whether the law's outputs can be told from this recording."""
+    fresh: np.ndarray
+    """Whether velocities can be."""
+    gain: np.ndarray
+    """Gain after the sample where it is taken from the recording, NaN where it is computed (n,) [-]."""
+
+
+class Difference(NamedTuple):
+    """How a signal differs."""
+
+    signal: str
+    unit: str
+    samples: int
+    """That were compared."""
+    largest: float
+    at: float
+    """Time of the largest [s]."""
+    tolerance: float
+    first: float
+    """Time of the first beyond the tolerance [s]; NaN if there is none."""
+    by: float
+    """How far there."""
+
+    @property
+    def parts(self) -> bool:
+        """Whether it does."""
+        return not math.isnan(self.first)
+
+
+def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Inputs:
+    """What the law was given.
+
+    Args:
+        recording: What flew.
+        artifact: The controller.
+        sha256: Of its file.
+
+    Raises:
+        RecordingError: It was another controller, or the recording lacks something.
+    """
+    header, signals = recording.header, recording.signals
+    if header.get("artifact") != sha256:
+        flown = f"{str(header.get('artifact'))[:16]}…"
+        raise RecordingError(f"the controller that flew has the sha256 {flown}, and this one has {sha256[:16]}…")
+    if header.get("T_s") != artifact.T_s:
+        raise RecordingError(f"it was recorded every {header.get('T_s')} s, and the law runs every {artifact.T_s:g} s")
+    if missing := [name for name in (*INPUTS, *COMPARED) if name not in signals]:
+        raise RecordingError(f"it lacks the signal {missing[0]}")
+    names = header.get("names")
+    states = names.get("state") if isinstance(names, dict) else None
+    if not isinstance(states, list) or "contact" not in states:
+        raise RecordingError("its header does not name the states")
+    if not len(signals["time"]):
+        raise RecordingError("it holds no samples")
+    number = signals["state"][:, 0]
+    contact = number == states.index("contact")
+    before = np.concatenate([[False], contact[:-1]])
+    enters = contact & ~before
+    enters[:1] = False  # there is no sample before it to enter from
+    time = signals["time"][:, 0]
+    judged = np.ones(len(time), bool)
+    if np.any(contact & (time < time[:1] + FILTER)):
+        judged &= time >= time[0] + SETTLING
+    force_ref = signals["force_ref"]
+    if artifact.preview:
+        ahead = len(artifact.gains.mpc_ref)
+        force_ref, whole = _windows(force_ref, contact, ahead)
+        judged &= whole
+    q = signals["q"]
+    lost = np.flatnonzero(np.any(signals["position_age"] > 0.0, axis=1) | ~np.all(np.isfinite(q), axis=1))
+    last_lost = np.full(len(time), time[0])
+    if len(lost):
+        row = np.searchsorted(lost, np.arange(len(time)), side="right") - 1
+        last_lost = np.where(row >= 0, np.maximum(time[lost[np.maximum(row, 0)]], last_lost), last_lost)
+    fresh = time > last_lost + FILTER
+    servo = np.isin(number, [i for i, name in enumerate(states) if name in SERVO]) & np.all(
+        np.isfinite(signals["a"]), axis=1
+    )
+    gain = signals["gain"][:, 0]
+    return Inputs(
+        T_s=artifact.T_s,
+        time=time,
+        q=q,
+        qd=signals["qd"],
+        force=signals["force"],
+        force_ref=force_ref,
+        applied=signals["applied"],
+        a=signals["a"],
+        contact=contact,
+        enters=enters,
+        servo=servo,
+        judged=judged,
+        fresh=fresh,
+        gain=np.where(~judged & (gain > 0.0), gain, np.nan),
+    )
+
+
+def through_runtime(inputs: Inputs, artifact: Artifact) -> dict[str, np.ndarray]:
+    """The signals of `COMPARED` from the runtime; NaN where it does not make them."""
+    runtime = ArmRuntime(artifact)
+    found = {name: np.full((len(inputs.time), COLUMNS[name][0]), np.nan) for name in COMPARED}
+    q = [tuple(row) for row in inputs.q.tolist()]
+    runtime.start(q[0])
+    for k, angles in enumerate(q):
+        if not np.all(np.isfinite(inputs.q[k])):
+            continue
+        found["qd"][k] = runtime.velocity(angles)
+        qd, applied = tuple(inputs.qd[k].tolist()), tuple(inputs.applied[k].tolist())
+        known = bool(np.all(np.isfinite(inputs.force[k])))
+        force = tuple(inputs.force[k].tolist()) if known else None
+        if inputs.contact[k]:
+            if inputs.enters[k] and np.all(np.isfinite(inputs.a[k - 1])):
+                runtime.last_a = tuple(inputs.a[k - 1].tolist())
+            if inputs.enters[k] or k == 0:
+                runtime.enter(force or (0.0, 0.0, 0.0), angles)
+            wanted = tuple(map(tuple, inputs.force_ref[k].tolist())) if inputs.force_ref.ndim == 3 else None
+            found["wanted"][k] = runtime.control(angles, qd, force, wanted or tuple(inputs.force_ref[k].tolist()))
+            found["v"][k], found["a"][k] = runtime.last_v, runtime.last_a
+            found["p_hat"][k], found["u"][k], found["gain"][k] = runtime.p_hat, runtime.u, runtime.gain
+            runtime.applied(applied)
+            if not math.isnan(inputs.gain[k]):
+                runtime.gain = float(inputs.gain[k])
+        elif inputs.servo[k]:
+            a = tuple(inputs.a[k].tolist())
+            found["wanted"][k] = runtime.servo(angles, qd, a, force or (0.0, 0.0, 0.0))
+    return found
+
+
+def compare(
+    recording: FlightRecording, inputs: Inputs, replayed: Mapping[str, np.ndarray], tolerance: float = TOLERANCE
+) -> list[Difference]:
+    """How each signal that was computed anew differs from the recorded one.
+
+    Args:
+        recording: What flew.
+        inputs: What `inputs_of` made of it.
+        replayed: Signals (n, width), NaN where they are not made.
+        tolerance: See `TOLERANCE`.
+    """
+    rows = []
+    for signal, again in replayed.items():
+        where = inputs.fresh if signal == "qd" else inputs.judged & (inputs.contact | inputs.servo)
+        if signal in LAW:
+            where = where & inputs.contact
+        where = where & np.all(np.isfinite(again), axis=1)
+        recorded, time = recording.signals[signal][where], inputs.time[where]
+        if not len(recorded):
+            rows.append(Difference(signal, COMPARED[signal], 0, 0.0, math.nan, tolerance, math.nan, 0.0))
+            continue
+        # A recorded NaN is an infinite difference, not none.
+        apart = np.nan_to_num(np.max(np.abs(recorded - again[where]), axis=1), nan=math.inf)
+        bound = tolerance * max(1.0, float(np.max(np.abs(again[where]))))
+        beyond = np.flatnonzero(apart > bound)
+        most = int(np.argmax(apart))
+        first, by = (float(time[beyond[0]]), float(apart[beyond[0]])) if len(beyond) else (math.nan, 0.0)
+        rows.append(
+            Difference(signal, COMPARED[signal], len(time), float(apart[most]), float(time[most]), bound, first, by)
+        )
+    return rows
+
+
+def table(title: str, rows: list[Difference]) -> str:
+    """The differences as text."""
+    lines = [f"{title}\n  {'signal':<8}{'samples':>8}{'largest':>12}{'at [s]':>10}{'allowed':>12}   parts"]
+    for row in rows:
+        at = f"{row.at:.3f}" if row.samples else "-"
+        parts = f"at {row.first:.3f} s by {row.by:.3g} {row.unit}" if row.parts else "no" if row.samples else "-"
+        lines.append(f"  {row.signal:<8}{row.samples:>8}{row.largest:>12.3g}{at:>10}{row.tolerance:>12.3g}   {parts}")
+    return "\n".join(lines)
+
+
+def _windows(force_ref: np.ndarray, contact: np.ndarray, ahead: int) -> tuple[np.ndarray, np.ndarray]:
+    """What was known of the future at each sample: what came later. And where all of that is in the recording."""
+    count = len(force_ref)
+    padded = np.concatenate([force_ref, np.repeat(force_ref[-1:], ahead - 1, axis=0)])
+    windows = np.lib.stride_tricks.sliding_window_view(padded, ahead, axis=0)
+    stays = np.concatenate([contact, np.zeros(ahead - 1, bool)])
+    whole = np.all(np.lib.stride_tricks.sliding_window_view(stays, ahead), axis=1)
+    return windows[:count], whole | ~contact

@@ -1,0 +1,1 @@
+"""The 1 kHz loop: session, cycle, tasks, operator, real time, watchdog."""

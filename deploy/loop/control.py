@@ -1,0 +1,166 @@
+"""The torques that each task asks for: the recorded law in contact, a servo on the tip around it.
+
+With x the tip, n the contact normal (from tissue to air) and x_d a reference that stands, or moves along n:
+
+    a = −k_p e − k_i ∫e − k_d (ẋ − ẋ_d),   e = x − x_d
+
+made torque by the same computed torque as in contact, so nothing jumps where one hands over to the other.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from deploy.reference.stream import Source, Stream
+from deploy.runtime.arm import ArmRuntime
+from deploy.safety.machine import Task
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+NONE: Three = (0.0, 0.0, 0.0)
+
+STIFFNESS, INTEGRAL, DAMPING = 900.0, 6750.0, 67.5
+"""k_p [1/s²], k_i [1/s³], k_d [1/s]: poles near 22 rad/s, slow beside the sampling, fast beside what is asked for."""
+LARGEST_ERROR = 0.02
+"""Of e and of its integral's share in a [m]: a servo that is held back must not pull ever harder."""
+
+
+@dataclass(frozen=True)
+class Contacting:
+    """How the tissue is met and left."""
+
+    normal: Three = (0.0, 0.0, 1.0)
+    """From the tissue to the air, unit length, shoulder frame."""
+    approach_speed: float = 0.005
+    """[m/s]"""
+    approach_limit: float = 0.06
+    """Farthest way down without contact [m]."""
+    threshold: float = 0.3
+    """Force that is a contact [N]."""
+    retract_speed: float = 0.05
+    """[m/s]"""
+    retract_distance: float = 0.03
+    """[m]"""
+
+
+class Controller:
+    """Wanted joint torques, cycle by cycle."""
+
+    def __init__(
+        self,
+        runtime: ArmRuntime,
+        source: Source,
+        T_s: float,
+        contacting: Contacting,
+        ahead: int = 0,
+        **stream: float,
+    ) -> None:
+        """Take what is to be run.
+
+        Args:
+            runtime: The recorded law.
+            source: Wanted force on the tissue since contact.
+            T_s: Sampling time [s].
+            contacting: How the tissue is met and left.
+            ahead: Samples of the wanted force that the law looks ahead; 0 for none.
+            **stream: `rate` [N/s] and `largest` [N] of the wanted force.
+        """
+        self.runtime, self.contacting = runtime, contacting
+        self.force_ref: Three = NONE
+        self._source, self._T_s = source, T_s
+        self._limits: dict[str, Any] = {"ahead": ahead, **stream}
+        self._stream: Stream | None = None
+        self._samples = 0
+        self._task = Task.OFF
+        self._reference, self._start, self._sum = NONE, NONE, NONE
+
+    def torque(self, task: Task, q: Four, qd: Four, tip: Three, tip_velocity: Three, force: Three | None) -> Four:
+        """Joint torques that a task asks for, before any clamp [N m].
+
+        Args:
+            task: Of this cycle.
+            q: Joint angles [rad].
+            qd: Joint velocities [rad/s].
+            tip: Position of the tip [m].
+            tip_velocity: [m/s]
+            force: Measured force on the tissue [N]; None where there is none to trust.
+        """
+        entered = task is not self._task
+        self._task = task
+        if task is Task.CONTROL:
+            if entered:
+                self._enter(force or NONE, q)
+            return self._control(q, qd, force)
+        if task is Task.OFF:
+            return (0.0, 0.0, 0.0, 0.0)
+        if task is Task.GRAVITY:
+            held: Four = self.runtime.gravity(q)
+            return held
+        if entered:
+            self._reference, self._start, self._sum = tip, tip, NONE
+        speed = {Task.APPROACH: -self.contacting.approach_speed, Task.RETRACT: self.contacting.retract_speed}.get(
+            task, 0.0
+        )
+        if task is Task.RETRACT and self.travelled(tip):
+            speed = 0.0
+        return self._servo(speed, q, qd, tip, tip_velocity, force or NONE)
+
+    def travelled(self, tip: Three) -> bool:
+        """Whether the approach or the retraction has gone as far as it may."""
+        if self._task is Task.APPROACH:
+            return self.along(self._start, tip) < -self.contacting.approach_limit
+        if self._task is Task.RETRACT:
+            # The reference may be far ahead of an arm that something holds back.
+            far, asked = self.contacting.retract_distance, self.along(self._start, self._reference)
+            return self.along(self._start, tip) >= far or asked >= 2.0 * far
+        return False
+
+    def along(self, start: Three, end: Three) -> float:
+        """Way from one point to another along the contact normal [m]."""
+        return sum(n * (b - a) for n, a, b in zip(self.contacting.normal, start, end, strict=True))
+
+    def touching(self, force: Three | None) -> bool:
+        """Whether the tip touches something: a tissue that holds it may as well pull, or drag it aside."""
+        return force is not None and math.hypot(*force) > self.contacting.threshold
+
+    @property
+    def contact_time(self) -> float:
+        """How long the cascade has been in control [s]."""
+        return self._samples * self._T_s
+
+    def notes(self) -> list[str]:
+        """What the source of the wanted force has to say."""
+        return self._source.notes()
+
+    def _enter(self, force: Three, q: Four) -> None:
+        """Bumpless: observers start at the measured force, and so does the wanted one."""
+        self.runtime.enter(force, q)
+        self._stream = Stream(self._source, self._T_s, force, **self._limits)
+        self._samples = 0
+
+    def _control(self, q: Four, qd: Four, force: Three | None) -> Four:
+        assert self._stream is not None
+        wanted: Any = self._stream.at(self.contact_time)
+        self._samples += 1
+        x, y, z = wanted
+        self.force_ref = (x[0], y[0], z[0]) if isinstance(x, tuple) else wanted
+        return self.runtime.control(q, qd, force, wanted)
+
+    def _servo(self, speed: float, q: Four, qd: Four, tip: Three, tip_velocity: Three, force: Three) -> Four:
+        step = speed * self._T_s
+        normal = self.contacting.normal
+        self._reference = _plus(self._reference, step, normal)
+        error = _within(_plus(tip, -1.0, self._reference), LARGEST_ERROR)
+        self._sum = _within(_plus(self._sum, self._T_s, error), LARGEST_ERROR * STIFFNESS / INTEGRAL)
+        velocity = _plus(tip_velocity, -speed, normal)
+        a = _plus(_plus(_plus(NONE, -STIFFNESS, error), -INTEGRAL, self._sum), -DAMPING, velocity)
+        return self.runtime.servo(q, qd, a, force)
+
+
+def _plus(a: Three, factor: float, b: Three) -> Three:
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+def _within(a: Three, length: float) -> Three:
+    size = math.hypot(*a)
+    return a if size <= length else _plus(NONE, length / size, a)

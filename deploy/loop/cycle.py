@@ -1,0 +1,273 @@
+"""One cycle: from what the bus brought to the one frame that may be sent.
+
+    reading ─► angles, force ─► plausible? ─► machine ─► task ─► torque ─► clamp ─► frame ─► checker ─► bus
+
+Nothing here waits, and nothing raises for what a robot may do. What the checker refuses is a reason like any other: the
+machine takes it, and the cycle ends with the frame of the task that is then allowed.
+"""
+
+from collections.abc import Callable
+from math import dist, isfinite
+from typing import NamedTuple
+
+from deploy.bus.bus import Bus
+from deploy.controller.limits import Limits
+from deploy.loop.control import Controller
+from deploy.puck.frame import Frame
+from deploy.safety import machine
+from deploy.safety.checker import Checker, Strictness
+from deploy.safety.clamp import NOTHING, Clamp, bounds, clamp
+from deploy.safety.machine import Observations, OperatingState, SafetyState, Task
+from deploy.safety.plausible import EncoderState, ForceState, beyond_stop, encoder_step, force_step
+from deploy.safety.reasons import Reason
+from deploy.wam.arm import Reading, WamArm
+from deploy.wam.encoder_bridge import EncoderBridge
+from deploy.wam.tip_pose import TipKinematics
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+ZERO: Four = (0.0, 0.0, 0.0, 0.0)
+FOREIGN, FOREIGN_CYCLES = 4, 2
+"""Foreign frames in a cycle, so many cycles in a row, that are a babbling node: half of what a full bus can hold."""
+SILENT = 100
+"""Cycles without a word of the safety module, which is asked every ten."""
+LATELY = 1000
+"""Cycles for which lateness explains replies that do not come."""
+SETTLED = 0.5
+"""Time in contact [s] after which the observers' innovation tells something of the sensor."""
+ASTRAY = 2.0
+"""How far the force in contact never is from that which is wanted [N]: premature beats bring it to 1.4 N, a sensor with
+a wrong sign passes it within some milliseconds."""
+CHANGING = 0.2
+"""Time after an activation in which pucks may still tell their old mode [s]."""
+JOINTS = ("J1", "J2 and J3 (motor 2)", "J2 and J3 (motor 3)", "J4")
+_STRICTNESS = {task: Strictness.SAFE for task in Task} | {
+    Task.OFF: Strictness.OFF,
+    Task.APPROACH: Strictness.CONTROL,
+    Task.CONTROL: Strictness.CONTROL,
+}
+
+
+class OperatorCommand(NamedTuple):
+    """What the operator wants, as far as a cycle must know."""
+
+    armed: bool = False
+    start: bool = False
+    finish: Reason = Reason.NONE
+
+
+class CycleTiming(NamedTuple):
+    """What the clock and the watchdog say of a cycle."""
+
+    missed: int = 0
+    """Cycles left out before this one."""
+    late: bool = False
+    """Overruns are too many."""
+    hazard: Reason = Reason.NONE
+    """The watchdog has acted or is gone, or the controller stood still."""
+
+
+class CycleResult(NamedTuple):
+    """What a cycle came to; angles and forces are those that were used."""
+
+    frame: Frame
+    situation: SafetyState
+    task: Task
+    clamp: Clamp
+    q: Four
+    qd: Four
+    where: TipKinematics
+    force: Three | None
+    """On the tissue, in the world's axes [N]."""
+    wanted: Four
+    """Before the clamp [N m]."""
+    applied: Four
+    """Behind it [N m]."""
+
+
+class Cycle:
+    """The robot side of a run, but for time."""
+
+    def __init__(
+        self,
+        arm: WamArm,
+        controller: Controller,
+        limits: Limits,
+        T_s: float,
+        tool_length: float,
+        whereabouts: Callable[[Four, Four], TipKinematics],
+        turns: bool = True,
+        hook: Callable[[Three], Three] | None = None,
+    ) -> None:
+        """Put the parts together, before motion.
+
+        Args:
+            arm: Started.
+            controller: Not yet in contact.
+            limits: What may not be exceeded.
+            T_s: Sampling time [s].
+            tool_length: From the elbow's frame to the tip [m].
+            whereabouts: Of tip and tool, as `deploy.wam.tip_pose.tip_kinematics` makes it.
+            turns: Whether the force sensor turns with the tool; else it keeps its direction in the world.
+            hook: What becomes of a measured force on its way, to inject faults that no CAN frame can hold.
+
+        Raises:
+            InputError: The pucks, or the limits, are not fit for this.
+        """
+        pucks = arm.pucks
+        self.arm, self.controller, self.limits = arm, controller, limits
+        self.situation = SafetyState()
+        self.checker = Checker(limits, T_s, pucks.ipnm, (1, 2, 3, 4), tool_length)
+        self._bounds = bounds(limits, T_s, pucks.ipnm)
+        self._turns, self._hook, self._T_s, self._where = turns, hook, T_s, whereabouts
+        self._angles = EncoderBridge(arm.counts)
+        self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
+        self._encoders, self._force_state = EncoderState(), ForceState()
+        self._age, self._foreign, self._busy, self._active = [0] * 4, arm.bus.counters.foreign, 0, 0
+        self._hosts = arm.bus.counters.hosts
+        self._late, self._late_at = arm.late, -LATELY
+        self._q = pucks.angles(arm.counts)
+        controller.runtime.start(self._q)
+
+    def step(self, reading: Reading, timing: CycleTiming, wishes: OperatorCommand) -> CycleResult:
+        """Decide what is sent.
+
+        Args:
+            reading: Of this cycle.
+            timing: Of this cycle.
+            wishes: Of the operator.
+        """
+        runtime = self.controller.runtime
+        danger, age, oldest = self._positions(reading, timing.missed)
+        q = self._q
+        qd = runtime.velocity(q) if age <= machine.BRIDGED else ZERO
+        where = self._where(q, qd)
+        force, doubt = self._force(reading, where)
+        late = self._lately(timing)
+        if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and late):
+            danger = Reason.LATE
+        if timing.late:
+            doubt = Reason.LATE
+        hazard, detail = self._hazard(reading, timing.hazard, late)
+        seen = Observations(
+            hazard,
+            age,
+            danger,
+            doubt,
+            detail or (JOINTS[oldest] if age > machine.BRIDGED or danger is not Reason.NONE else ""),
+            self._active > 0,
+            self.controller.touching(force),
+            self.controller.travelled(where.tip),
+            *wishes,
+        )
+        self.situation = machine.step(self.situation, seen)
+        return self._send(q, qd, where, force, age)
+
+    def _send(self, q: Four, qd: Four, where: TipKinematics, force: Three | None, age: int) -> CycleResult:
+        """The frame of the task, or of the lesser one that its refusal leads to."""
+        while True:
+            task = machine.task_of(self.situation, age)
+            wanted = self.controller.torque(task, q, qd, where.tip, where.velocity, force)
+            applied, acted = (ZERO, NOTHING) if task is Task.OFF else clamp(wanted, self.checker.torque, self._bounds)
+            frame = self.arm.torque_frame(applied)
+            drive = task is not Task.OFF
+            refusal = self.checker.check(frame, drive, _STRICTNESS[task], q, qd, force, age)
+            if refusal is None or not drive:
+                break
+            refused = Observations(hazard=refusal) if refusal.lets_go else Observations(danger=refusal)
+            self.situation = machine.step(self.situation, refused)
+            if machine.task_of(self.situation, age) is task:
+                self.situation = SafetyState(
+                    OperatingState.FAULT, Reason.STATE, f"{task} was refused: {refusal}", let_go=True
+                )
+        if task is Task.CONTROL and acted.acted:
+            self.controller.runtime.applied(applied)
+        return CycleResult(frame, self.situation, task, acted, q, qd, where, force, wanted, applied)
+
+    def _positions(self, reading: Reading, missed: int) -> tuple[Reason, int, int]:
+        """Take positions; what is wrong with them, the age of the oldest, and which motor's it is."""
+        counts = reading.counts
+        self._encoders, reason, culprit = encoder_step(
+            self._encoders, counts, self._counts_per_turn, self._T_s * (1 + missed)
+        )
+        if reason is not None:
+            counts = tuple(None if i == culprit else each for i, each in enumerate(counts))
+        for i, each in enumerate(counts):
+            self._age[i] = 0 if each is not None else self._age[i] + 1 + missed
+        age = max(self._age)
+        oldest = culprit if reason is not None else self._age.index(age)
+        if age <= machine.BRIDGED:
+            for between in self._angles.take(counts, missed):
+                q = self.arm.pucks.angles(between)
+                if between is not self._angles.counts:
+                    self.controller.runtime.velocity(q)
+            if (joint := beyond_stop(q)) >= 0:
+                return Reason.ENCODER_RANGE, age, joint
+            self._q = q
+        return reason or Reason.NONE, age, oldest
+
+    def _force(self, reading: Reading, where: TipKinematics) -> tuple[Three | None, Reason]:
+        """The force on the tissue in the world's axes, if it can be trusted, and else why not."""
+        raw = reading.force
+        if raw is not None and self._hook is not None:
+            raw = self._hook(raw)
+        controller, innovation = self.controller, None
+        contact = self.situation.state is OperatingState.CONTACT and controller.contact_time > SETTLED
+        turned = where.turned(raw) if raw is not None and self._turns else raw
+        if contact and turned is not None and isfinite(sum(turned)):
+            x, y, z = controller.runtime.prediction
+            innovation = turned[0] - x, turned[1] - y, turned[2] - z
+        self._force_state, reason = force_step(self._force_state, raw, innovation)
+        if reason is not None:
+            return None, reason
+        if turned is None:
+            return None, Reason.NONE
+        x, y, z = turned
+        if x * x + y * y + z * z > self.limits.force**2:
+            return turned, Reason.FORCE
+        astray = self.situation.state is OperatingState.CONTACT and dist(turned, controller.force_ref) > ASTRAY
+        return turned, Reason.FORCE_MODEL if astray else Reason.NONE
+
+    def _hazard(self, reading: Reading, hazard: Reason, late: bool) -> tuple[Reason, str]:
+        """What forbids to drive the arm, and what of it."""
+        if hazard is not Reason.NONE:
+            return hazard, ""
+        bus = self.arm.bus
+        if bus.state != "active":
+            return Reason.BUS_OFF if bus.state == "off" else Reason.BUS_ERROR, ""
+        if self._babble(bus):
+            return Reason.BUS_LOAD, "frames of a stranger fill the bus"
+        if bus.counters.hosts > self._hosts:
+            self._hosts = bus.counters.hosts
+            return Reason.BUS_LOAD, "another host sends on this bus"
+        if reading.safety_mode == 0:
+            return Reason.E_STOP, ""
+        was_active, self._active = self._active, self._active + 1 if reading.safety_mode == 2 else 0
+        if was_active and not self._active:
+            return Reason.IDLE, ""
+        if min(self._age) >= machine.BRIDGED and not late:
+            return Reason.POSITION_LOST, "no puck answers, as after an e-stop"
+        if reading.safety_age > SILENT and self.arm.cycle > SILENT:
+            return Reason.PENDANT_FAULT, "the safety module is silent"
+        if reading.pendant is not None and (faults := reading.pendant.faults):
+            return Reason.PENDANT_FAULT, ", ".join(faults)
+        for i, status in enumerate(reading.puck_status):
+            if status != 2:
+                return Reason.PUCK_FAULT, f"puck {self.arm.pucks.nodes[i]} reports STAT {status}"
+        if self._active * self._T_s > CHANGING:
+            for i, mode in enumerate(reading.puck_mode):
+                if mode != 2:
+                    return Reason.PUCK_FAULT, f"puck {self.arm.pucks.nodes[i]} left its torque mode"
+        return Reason.NONE, ""
+
+    def _lately(self, timing: CycleTiming) -> bool:
+        """Whether this computer or a reply was late in the last second: then missing positions are late, not lost."""
+        if timing.missed or timing.late or self.arm.late > self._late:
+            self._late, self._late_at = self.arm.late, self.arm.cycle
+        return self.arm.cycle - self._late_at < LATELY
+
+    def _babble(self, bus: Bus) -> bool:
+        foreign = bus.counters.foreign
+        self._busy = self._busy + 1 if foreign - self._foreign >= FOREIGN else 0
+        self._foreign = foreign
+        return self._busy >= FOREIGN_CYCLES

@@ -1,0 +1,120 @@
+"""The person at the arm: what is shown to them, and what they want, without the loop ever waiting for either."""
+
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from types import FrameType
+from typing import TextIO
+
+from deploy.loop.cycle import CycleResult, OperatorCommand
+from deploy.safety.machine import OperatingState, Task
+from deploy.safety.reasons import EXPLANATION, Reason
+
+CAPACITY = 1000
+"""Lines that may wait for the terminal."""
+_PAUSE = 0.02
+_SAID = {
+    OperatingState.ARMED: "armed: press Shift-activate on the pendant",
+    OperatingState.APPROACH: "approach: going down until the tissue is met",
+    OperatingState.CONTACT: "contact: the controller is in charge; Enter or Ctrl-C ends it",
+    OperatingState.RETRACT: "retract",
+    OperatingState.STOPPED: "stopped: held, then let go",
+    OperatingState.FAULT: "FAULT",
+}
+_ENDS = {Task.OFF: "is let go", Task.RETRACT: "brakes and withdraws"}
+
+
+class Console:
+    """Prints from a thread of its own: a terminal that is slow, or stopped, must not stop the arm."""
+
+    def __init__(self, out: TextIO | None = None) -> None:
+        """Begin to write to a terminal or a file, standard output if none is given."""
+        self._lines: deque[str] = deque(maxlen=CAPACITY)
+        self._out, self._closing = out or sys.stdout, threading.Event()
+        self._thread = threading.Thread(target=self._work, name="console", daemon=True)
+        self._thread.start()
+
+    def say(self, line: str) -> None:
+        """Show a line, soon."""
+        self._lines.append(line)
+
+    def close(self) -> None:
+        """Show what waits, for at most a second."""
+        self._closing.set()
+        self._thread.join(1.0)
+
+    def _work(self) -> None:
+        while True:
+            closing = self._closing.wait(_PAUSE)
+            while self._lines:
+                self._out.write(f"{self._lines.popleft()}\n")
+            self._out.flush()
+            if closing:
+                return
+
+
+class Operator:
+    """What the operator wants, cycle by cycle, from keys, Ctrl-C and the end of the experiment."""
+
+    def __init__(
+        self, console: Console, contact_time: Callable[[], float], duration: float, start: bool, keys: bool
+    ) -> None:
+        """Listen.
+
+        Args:
+            console: Where changes are shown.
+            contact_time: How long the law has been in control [s].
+            duration: When that is enough [s].
+            start: Whether the approach begins by itself once the pendant has activated.
+            keys: Whether Enter on standard input lets it begin, and then ends it.
+        """
+        self._console, self._contact_time, self._duration = console, contact_time, duration
+        self._start, self._stop = start, False
+        self._shown: tuple[OperatingState, Reason, Task] | None = None
+        self._state = OperatingState.IDLE
+        signal.signal(signal.SIGINT, self._interrupted)
+        signal.signal(signal.SIGTERM, self._interrupted)
+        if keys:
+            threading.Thread(target=self._listen, name="keys", daemon=True).start()
+
+    @property
+    def wishes(self) -> OperatorCommand:
+        """What is wanted now."""
+        if self._stop:
+            return OperatorCommand(True, self._start, Reason.OPERATOR)
+        return OperatorCommand(
+            True, self._start, Reason.FINISHED if self._contact_time() >= self._duration else Reason.NONE
+        )
+
+    def each(self, done: CycleResult) -> OperatorCommand:
+        """Show what has changed; say what is wanted."""
+        now = done.situation
+        if (showing := (now.state, now.reason, done.task)) != self._shown:
+            self._shown, self._state = showing, now.state
+            self._console.say(_line(done))
+        return self.wishes
+
+    def _interrupted(self, number: int, frame: FrameType | None) -> None:
+        self._stop = True
+
+    def _listen(self) -> None:
+        for _ in sys.stdin:
+            if self._state in (OperatingState.IDLE, OperatingState.ARMED) and not self._start:
+                self._start = True
+                self._console.say("Enter: the approach begins once the pendant has activated the arm")
+            elif self._state not in (OperatingState.IDLE, OperatingState.ARMED):
+                self._stop = True
+            time.sleep(0.2)  # a key that is held down is one wish
+
+
+def _line(done: CycleResult) -> str:
+    now = done.situation
+    text = _SAID.get(now.state, str(now.state))
+    if now.reason is not Reason.NONE:
+        text += f" ({now.reason}{': ' + now.detail if now.detail else ''}): {EXPLANATION[now.reason]}"
+    if now.state is OperatingState.FAULT:
+        text += f" The arm {_ENDS.get(done.task, 'is held against gravity')}."
+    return text

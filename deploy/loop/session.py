@@ -1,0 +1,213 @@
+"""A run from the closed box to the arm that is let go: start, tare, cycle, record.
+
+    start-up ─► posture ─► tare ─► `Loop` ─► recording
+
+Whoever calls this has opened the bus and read the artifact, and closes the bus again.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from deploy.bus.bus import Bus
+from deploy.controller.artifact import Artifact
+from deploy.errors import CalibrationError
+from deploy.flight.recorder import FlightRecorder
+from deploy.force.can_sensor import CanSensor
+from deploy.force.sensor import IDENTITY, ForceSensor, Mounted, mean_force
+from deploy.loop.control import Contacting, Controller
+from deploy.loop.cycle import Cycle, CycleResult, OperatorCommand
+from deploy.loop.loop import REASONS, STATES, Clock, Loop, RunResult, Watching
+from deploy.loop.statistics import Statistics
+from deploy.reference.stream import Source
+from deploy.runtime.arm import ArmRuntime
+from deploy.safety.clamp import Clamp
+from deploy.safety.machine import SafetyState
+from deploy.wam.arm import WamArm
+from deploy.wam.startup import startup
+from deploy.wam.tip_pose import tip_kinematics
+from jaxmpc.files.errors import InputError
+from jaxmpc.law.scalar import Matrix
+
+NEAR = 0.3
+"""Farthest that a joint may be from the controller's posture at the start [rad]: its margins hold there."""
+WANTED = 0.8
+"""Largest wanted force over the limit of the measured one [-]."""
+TARING = 1.3
+"""Patience for the sensor's own tare [s], which takes about one."""
+CHECKED = 200
+"""Samples that are read after it."""
+STILL = 0.5
+"""Mean force that a tared sensor in the air may still read [N]."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a controller is run.
+
+    Attributes:
+        source: Wanted force on the tissue since contact.
+        rate: Largest rate of the wanted force [N/s].
+        contacting: How the tissue is met and left.
+        sensor: Of the force.
+        mount: Rotation from the sensor's axes to the tool's, or to the world's if it does not turn.
+        turns: Whether the sensor turns with the tool.
+        tare: Whether it is tared at the start.
+        home: The operator says that the arm stands at home.
+        hz: Rate that is asked for; None is the controller's own.
+        seconds: Length of the flight recorder [s].
+        hook: What becomes of a force on its way; see `Cycle`.
+        log: Takes every torque frame that is sent.
+    """
+
+    source: Source
+    rate: float = 5.0
+    contacting: Contacting = field(default_factory=Contacting)
+    sensor: ForceSensor = field(default_factory=CanSensor)
+    mount: Matrix = IDENTITY
+    turns: bool = True
+    tare: bool = True
+    home: bool = False
+    hz: float | None = None
+    seconds: float = 10.0
+    hook: Callable[[Any], Any] | None = None
+    log: Callable[..., None] | None = None
+
+
+class Session:
+    """A started arm with its controller.
+
+    Attributes:
+        controller: Of the torques.
+        recorder: The last seconds.
+    """
+
+    def __init__(
+        self, artifact: Artifact, bus: Bus, clock: Clock, options: Options, report: Callable[[str], None]
+    ) -> None:
+        """Start the arm; nothing moves.
+
+        Args:
+            artifact: Of the kind "wam".
+            bus: Opened, with the clock's stamps.
+            clock: Real, or that of a twin.
+            options: How it is run.
+            report: Takes what happens, in sentences.
+
+        Raises:
+            InputError: The artifact drives no arm, or not at this rate.
+            BusError: The arm does not answer as it must.
+            CalibrationError: It says what cannot be right, stands elsewhere, or the sensor is not still.
+        """
+        runtime = ArmRuntime(artifact)
+        model = artifact.arm
+        assert model is not None
+        if options.hz is not None and abs(options.hz * artifact.T_s - 1.0) > 1e-9:
+            remedy = "Freeze a controller for that rate: its gains hold for no other."
+            raise InputError("rate", f"{options.hz:g} Hz", f"{1.0 / artifact.T_s:g} Hz, the controller's own", remedy)
+        self.artifact, self._clock, self._options = artifact, clock, options
+        sensor = Mounted(options.sensor, options.mount)
+        self.arm = startup(bus, clock, sensor, home=options.home, report=report)
+        _standing(self.arm, model.posture)
+        if options.tare:
+            _tare(self.arm, clock, artifact.T_s)
+            report("force sensor tared")
+        ahead = len(artifact.gains.mpc_ref) if artifact.preview else 0
+        stream = {"rate": options.rate, "largest": largest_wanted(artifact)}
+        self.controller = Controller(runtime, options.source, artifact.T_s, options.contacting, ahead, **stream)
+        self.cycle = Cycle(
+            self.arm,
+            self.controller,
+            model.limits,
+            artifact.T_s,
+            model.tool_length,
+            tip_kinematics(model.chain),
+            options.turns,
+            options.hook,
+        )
+        self.recorder = FlightRecorder(seconds=options.seconds, rate=1.0 / artifact.T_s)
+        self.statistics = Statistics(round(1e9 * artifact.T_s))
+
+    def run(
+        self, wishes: OperatorCommand, watchdog: Watching | None, each: Callable[[CycleResult], OperatorCommand]
+    ) -> RunResult:
+        """Cycle until the arm has been let go.
+
+        Args:
+            wishes: Of the operator, at first.
+            watchdog: Standing by; None only where time is simulated.
+            each: Shown what every cycle came to; says what the operator wants next.
+        """
+        period = round(1e9 * self.artifact.T_s)
+        loop = Loop(self.cycle, self._clock, period, self.recorder, watchdog, each, self._options.log)
+        self.statistics = loop.statistics
+        return loop.run(wishes)
+
+    def write(self, path: Path, digest: str, situation: SafetyState) -> str:
+        """Write the flight recording; a sentence on what became of it.
+
+        Args:
+            path: Where to.
+            digest: sha256 of the controller.
+            situation: In which it ended.
+        """
+        header = {
+            "artifact": digest,
+            "reason": str(situation.reason),
+            "detail": situation.detail,
+            "T_s": self.artifact.T_s,
+            "names": {
+                "state": list(map(str, STATES)),
+                "reason": list(map(str, REASONS)),
+                "clamped": list(Clamp._fields),
+            },
+        }
+        return self.recorder.write(path, header)
+
+    def notes(self) -> list[str]:
+        """What was counted besides cycles."""
+        arm, counters = self.arm, self.arm.bus.counters
+        bus = f"bus: {counters.sent} frames sent, {counters.received} received, {counters.foreign} foreign"
+        bus += f", {counters.malformed + arm.malformed} malformed, {counters.send_errors} refused"
+        lost = f"positions: {arm.late} late, {arm.duplicates} twice, {arm.doubtful} doubtful, {arm.jumps} jumps"
+        return [bus, lost, *self.controller.notes()]
+
+
+def largest_wanted(artifact: Artifact) -> float:
+    """Largest force that may be wanted [N]: what is measured must have room to sway below its limit."""
+    assert artifact.arm is not None
+    return WANTED * artifact.arm.limits.force
+
+
+def _standing(arm: WamArm, posture: Any) -> None:
+    """The arm is where the controller's margins hold."""
+    for i, (angle, wanted) in enumerate(zip(arm.pucks.angles(arm.counts), posture, strict=True), start=1):
+        if abs(angle - wanted) > NEAR:
+            where = f"joint {i} stands at {angle:.2f} rad, the controller was made for {wanted:.2f} ± {NEAR:g}"
+            raise CalibrationError(f"{where}: carry the arm there by hand, idle, then start again")
+
+
+def _tare(arm: WamArm, clock: Clock, T_s: float) -> None:
+    """Call the force in the air zero, and see that it then is.
+
+    Raises:
+        CalibrationError: It is not, or the sensor gives nothing sound.
+    """
+    for frame in arm.sensor.tare():
+        arm.bus.send(frame)
+    clock.wait_until(clock.now() + round(1e9 * TARING))
+    period, taken = round(1e9 * T_s), []
+    for _ in range(CHECKED):
+        deadline = clock.now() + period
+        for frame in arm.sensor.request():
+            arm.bus.send(frame)
+        while not arm.sensor.ready and (got := arm.bus.receive((deadline - clock.now()) * 1e-9)) is not None:
+            arm.sensor.feed(got[0])
+        if (wrench := arm.sensor.read()) is not None:
+            taken.append(wrench)
+        clock.wait_until(deadline)
+    force = mean_force(taken)
+    if max(map(abs, force)) > STILL:
+        x, y, z = force
+        raise CalibrationError(f"the tared force sensor reads {x:.2f}, {y:.2f}, {z:.2f} N: let nothing touch the tool")

@@ -1,0 +1,1 @@
+"""Wanted force at run time: where it comes from, and the stream that lets nothing jump."""

@@ -1,0 +1,1 @@
+"""The law as straight-line functions of the artifact's constants."""

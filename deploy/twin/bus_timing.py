@@ -1,0 +1,53 @@
+"""The wire between twin and host: how long frames take on it, and which of them faults lose, delay or double."""
+
+import heapq
+from collections.abc import Sequence
+from itertools import count
+
+import numpy as np
+
+from deploy.puck.frame import Frame
+from deploy.twin.faults import Fault, Links
+
+
+class BusTiming:
+    """Frames under way to the host."""
+
+    def __init__(self, bit_rate: float, faults: Sequence[Fault], random: np.random.Generator) -> None:
+        """An empty wire.
+
+        Args:
+            bit_rate: [bit/s]; 0 carries every frame at once.
+            faults: Of which those of frames count.
+            random: For those that act at random.
+        """
+        self._bit_rate, self._links = bit_rate, Links(faults, random)
+        self._waiting: list[tuple[int, int, Frame]] = []
+        self._order, self._free = count(), 0
+
+    def copies(self, targets: Sequence[str], now: float) -> list[float]:
+        """How late each copy of a frame arrives [s], none if it is lost; of a frame that belongs to these targets."""
+        return self._links.copies(targets, now) if self._links else [0.0]
+
+    def post(self, frame: Frame, at: int) -> None:
+        """Send a frame to the host at a time [ns]."""
+        heapq.heappush(self._waiting, (self.carry(frame, at), next(self._order), frame))
+
+    def carry(self, frame: Frame, at: int) -> int:
+        """When a frame sent at a time has gone over the wire [ns]; bits are stuffed as in typical ones (wam.md §6)."""
+        if not self._bit_rate:
+            return at
+        bits = 47 + 8 * len(frame.data) + (34 + 8 * len(frame.data) - 1) // 20
+        self._free = max(self._free, at) + round(1e9 * bits / self._bit_rate)
+        return self._free
+
+    def take(self, until: int) -> list[Frame]:
+        """Frames that have arrived by a time [ns]."""
+        due = []
+        while self._waiting and self._waiting[0][0] <= until:
+            due.append(heapq.heappop(self._waiting)[2])
+        return due
+
+    def next(self) -> int | None:
+        """When the next frame arrives [ns], None if none is under way."""
+        return self._waiting[0][0] if self._waiting else None

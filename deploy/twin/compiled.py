@@ -1,0 +1,24 @@
+"""The simulator's sources that the twin runs each millisecond, recorded once as straight-line functions."""
+
+from collections.abc import Callable
+from typing import Any
+
+from deploy.runtime.straightline import compile_straightline, functions
+from deploy.twin.settings import Four, TwinSettings
+from jaxmpc.law.scalar import apply, apply_transposed
+from jaxmpc.world import drive, friction
+
+_FOUR = (0.0, 0.0, 0.0, 0.0)
+
+motor_angles = compile_straightline(lambda q: apply(drive.JOINT_TO_MOTOR, q), (_FOUR,)).function
+"""Motor angles from joint angles, or velocities from velocities."""
+joint_angles = compile_straightline(lambda theta: apply(drive.MOTOR_TO_JOINT, theta), (_FOUR,)).function
+"""Joint angles from motor angles."""
+joint_torques = compile_straightline(lambda torque: apply_transposed(drive.JOINT_TO_MOTOR, torque), (_FOUR,)).function
+"""Joint torques from motor torques."""
+
+
+def friction_step(settings: TwinSettings, h: float) -> Callable[[Four, Four], Any]:
+    """`jaxmpc.world.friction.step` over h [s] as a function of deflections [-] and joint velocities [rad/s]."""
+    joints = friction.Friction(settings.coulomb, settings.presliding)
+    return compile_straightline(lambda s, v: friction.step(joints, s, v, h, functions), (_FOUR, _FOUR)).function

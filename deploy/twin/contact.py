@@ -1,0 +1,75 @@
+"""Contact of the tip with the heart: where it begins, what it holds on to, how it ends."""
+
+import math
+from types import SimpleNamespace
+
+from deploy.twin.settings import Three, TwinSettings
+from jaxmpc.world import tissue
+
+LIFTED = 10.0 * tissue.WIDTH
+"""Height above the tissue at which a merely touching tip has left it [m]: the force is 1e-5 of what it was."""
+RADIUS = 0.06
+"""How far from where it is to be touched the heart's surface ends [m]."""
+_LARGEST_FORCE = 1e3
+"""Where the tissue's force is cut off, so that no fault can make numbers overflow [N]."""
+_NONE: Three = (0.0, 0.0, 0.0)
+_FLOATS = SimpleNamespace(sqrt=math.sqrt, maximum=max, exp=lambda x: math.exp(min(x, 50.0)))
+
+
+class TwinContact:
+    """The tissue under the tip.
+
+    Attributes:
+        touching: Whether the tip is in contact.
+    """
+
+    def __init__(self, settings: TwinSettings, rest: Three) -> None:
+        """Begin without contact.
+
+        Args:
+            settings: Of the twin.
+            rest: Where the resting heart's surface is to be touched [m].
+        """
+        self._kind, self._attached, self._pull_off = settings.tissue, settings.attached, settings.pull_off
+        self._tissue, self._rest = tissue.Tissue(settings.stiffness), rest
+        self.begin(False)
+
+    def begin(self, touching: bool) -> None:
+        """Forget what was; in contact, it is one without force where the heart rests."""
+        self.touching, self._anchor = touching, self._rest
+        self._memory = tissue.init(self._kind, 0.0)
+
+    def press(self, tip: Three, speed: Three, heart: Three, rate: Three, h: float) -> Three:
+        """Force on the tissue now [N]; what the tissue remembers goes on by h [s], contact begins and ends.
+
+        Args:
+            tip: Its position [m].
+            speed: Its velocity [m/s].
+            heart: Displacement of the heart's surface [m].
+            rate: Of that [m/s].
+            h: Time until the next call [s].
+        """
+        at = self._anchor
+        x, y, z = tip[0] - heart[0] - at[0], tip[1] - heart[1] - at[1], tip[2] - heart[2] - at[2]
+        if not self.touching and z <= (0.0 if self._attached else LIFTED) and self._above(tip):
+            # It sticks where it touches: no force along the surface yet.
+            self.touching, self._anchor = True, (at[0] + x, at[1] + y, at[2])
+            x = y = 0.0
+        elif self.touching and not self._attached and z > 2.0 * LIFTED:
+            self.touching = False
+        if not self.touching:
+            return _NONE
+        now = self._memory, (x, y, z), (speed[0] - rate[0], speed[1] - rate[1], speed[2] - rate[2])
+        force = tissue.force(self._kind, self._attached, self._tissue, *now, _FLOATS)
+        self._memory = tissue.relax(self._kind, self._attached, self._tissue, *now, h, _FLOATS)
+        if self._attached and force[2] > self._pull_off:
+            self.touching, self._memory = False, tissue.init(self._kind, 0.0)
+            return _NONE
+        return _cut(force[0]), _cut(force[1]), _cut(force[2])
+
+    def _above(self, tip: Three) -> bool:
+        return math.hypot(tip[0] - self._rest[0], tip[1] - self._rest[1]) < RADIUS
+
+
+def _cut(force: float) -> float:
+    return min(max(force, -_LARGEST_FORCE), _LARGEST_FORCE)

@@ -1,0 +1,42 @@
+"""The force sensor's mechanics: inertia and weight beyond it, low-pass, noise, resolution."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+
+from deploy.twin.settings import Three, TwinSettings
+from jaxmpc.world import drive, sensor
+
+GRAVITY = 9.805
+"""libbarrett's [m/s²]."""
+_FLOATS = SimpleNamespace(floor=math.floor, where=lambda condition, this, that: this if condition else that)
+_BLOCK = 256
+
+
+class ForceSensorModel:
+    """Force on the tissue → what is read of it, in the world's axes [N]."""
+
+    def __init__(self, settings: TwinSettings) -> None:
+        pole = drive.pole(2.0 * math.pi * settings.lowpass_hz, 1e-3)
+        self._sensor = sensor.SensorModel(pole, settings.lsb, settings.beyond_sensor, (1.0, 0.0))
+        self._state = sensor.init(False, settings.beyond_sensor > 0.0, 0.0)
+        self._noise, self._random = settings.noise, np.random.default_rng([settings.seed, 1])
+        x, y, z = settings.bias
+        # What lies beyond hangs on the sensor as if the tissue pulled the arm down: y = K_s d points up then.
+        self._offset: Three = (x, y, z + settings.beyond_sensor * GRAVITY)
+        self._drawn: list[Three] = []
+
+    def read(self, force: Three, velocity: Three) -> Three:
+        """What is read at this sample.
+
+        Args:
+            force: On the tissue [N].
+            velocity: Of the tip [m/s].
+        """
+        if not self._drawn:
+            self._drawn = self._random.normal(0.0, self._noise, (_BLOCK, 3)).tolist()
+        felt = (force[0] + self._offset[0], force[1] + self._offset[1], force[2] + self._offset[2])
+        noise = self._drawn.pop()
+        (x, y, z), self._state = sensor.read(self._sensor, self._state, felt, velocity, noise, 1e-3, _FLOATS)
+        return x, y, z

@@ -1,0 +1,60 @@
+"""Where the tip is, how it moves, and how the tool is turned, from the controller's own chain.
+
+The tool's axes are those of the forearm: z along it, y the elbow's axis. With the angles of libbarrett's table
+
+    R = Rz(q₁) Ry(q₂) Rz(q₃) Ry(q₄)
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from deploy.runtime.straightline import compile_straightline, functions
+from jaxmpc.law import chain as arm
+from jaxmpc.law.chain import Chain
+from jaxmpc.law.scalar import apply, matmul
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+
+
+class TipKinematics(NamedTuple):
+    """Of the arm at a sample, in the shoulder's frame."""
+
+    tip: Three
+    """[m]"""
+    velocity: Three
+    """Of the tip [m/s]."""
+    axes: tuple[Three, Three, Three]
+    """Rotation from the tool's axes, rows."""
+
+    def turned(self, force: Three) -> Three:
+        """A force in the tool's axes, in those of the shoulder [N]."""
+        x, y, z = force
+        (a, b, c), (d, e, f), (g, h, i) = self.axes
+        return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+
+def tip_kinematics(chain: Chain) -> Callable[[Four, Four], TipKinematics]:
+    """A function of joint angles [rad] and velocities [rad/s].
+
+    Args:
+        chain: The arm.
+    """
+
+    def motion(q: Any, qd: Any) -> Any:
+        at_tip = arm.tip(chain, arm.pose(chain, q, functions))
+        return at_tip.position, apply(at_tip.jacobian, qd), tool_axes(q, functions)
+
+    run = compile_straightline(motion, ((0.0,) * 4, (0.0,) * 4)).function
+    return lambda q, qd: TipKinematics(*run(q, qd))
+
+
+def tool_axes(q: Any, ops: Any) -> Any:
+    """R above; `ops` has `sin` and `cos`."""
+    turned: Any = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    for i, angle in enumerate(q):
+        s, c = ops.sin(angle), ops.cos(angle)
+        about_z = ((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))
+        about_y = ((c, 0.0, s), (0.0, 1.0, 0.0), (-s, 0.0, c))
+        turned = matmul(turned, about_y if i % 2 else about_z)
+    return turned

@@ -1,0 +1,184 @@
+"""An experiment: stiffness set × heart motion × force reference × imperfections, as a TOML file."""
+
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from jaxmpc.experiment.reference import Reference, wanted_force
+from jaxmpc.experiment.tables import ArmSettings, TissueSettings
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.synthesis.params import HP_MAX, Timing
+from jaxmpc.world.heart.motion import Motion, Seconds, Seed, Size, displacement
+
+AXES = ("x", "y", "z")
+Physics = Literal["linear", "wam", "mjx"]
+Stiffness = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
+
+
+class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The JR3 force sensor; zero switches an imperfection off."""
+
+    noise: Size = 0.010
+    """Standard deviation of white noise per sample [N] (prior; the maker publishes none)."""
+    lsb: tuple[Size, Size, Size] = (0.0061, 0.0061, 0.0122)
+    """Least significant bit per axis, 2¹⁴ counts on 100/100/200 N [N]."""
+    lowpass_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e4)] = 0.0
+    """Cut-off of the built-in low-pass [Hz]; the fastest of the JR3 is 500."""
+    kalman: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 0.0
+    """Change of the force rate per sample that a Kalman filter on the measured force assumes [N/s]; 0 is no filter.
+    On the arm alone."""
+    seed: Seed = 0
+
+
+class Signals(NamedTuple):
+    """What the loop meets at each sample, the same for every controller."""
+
+    heart: np.ndarray
+    """Position of the heart's surface, shape (steps, 3) [m]."""
+    noise: np.ndarray
+    """Sensor noise, shape (steps, 3) [N]."""
+    force_ref: np.ndarray
+    """Wanted force, shape (steps, 3), longer by `HP_MAX` with preview [N]."""
+    score: np.ndarray
+    """Whether a sample counts in the metrics, shape (steps, 3)."""
+
+
+class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
+    """One experiment; `from_toml`, `published`, or built in Python. Times in [s], forces in [N]."""
+
+    name: str = "experiment"
+    physics: Physics = "linear"
+    """"linear": the contact loop per axis. "wam": the arm. "mjx": the same on stock MJX, slowly, for comparison."""
+    duration: Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)] = 25.0
+    settle: Seconds = 5.0
+    """What is left out of the metrics at the start [s]; ramps are left out as well."""
+    stiffness: tuple[Stiffness, ...] = (375.0, 810.0, 1900.0)
+    """Tissue stiffnesses K_s [N/m]."""
+    damping: Literal["ideal", "sampled"] = "ideal"
+    """"ideal": the paper's (6). "sampled": through the velocity, sampled, filtered and delayed as on the robot,
+    and always so on the arm."""
+    velocity_lowpass: Annotated[float, msgspec.Meta(ge=0.0, le=1e5)] = 180.0
+    """Cut-off of the velocity filter, for sampled damping [rad/s]."""
+    sampling_time: Annotated[float, msgspec.Meta(ge=1e-5, le=0.1)] = 1e-3
+    """T_s [s]."""
+    delay: Annotated[int, msgspec.Meta(ge=1, le=2)] = 1
+    """Samples between a command and its effect [samples]."""
+    motion: Motion = Motion()
+    reference: Reference = Reference()
+    sensor: SensorSettings = SensorSettings()
+    tissue: TissueSettings = TissueSettings()
+    """On the arm alone; the linear world's tissue is elastic."""
+    arm: ArmSettings = ArmSettings()
+
+    def __post_init__(self) -> None:
+        if not self.stiffness:
+            raise InputError("stiffness", "[]", "at least one stiffness [N/m]", "The paper has [375.0, 810.0, 1900.0].")
+        if self.settle >= self.duration:
+            remedy = "Lower settle or raise duration."
+            raise InputError("settle", self.settle, f"below duration (= {self.duration:g} s)", remedy)
+        if (self.motion.kind == "recording") != bool(self.motion.file):
+            remedy = 'Give both motion.kind = "recording" and motion.file = "…", or neither.'
+            raise InputError("motion.file", self.motion.file or "missing", "given for a recording only", remedy)
+        if self.physics == "mjx" and (self.arm.substeps > 1 or self.arm.cable_hz):
+            remedy = 'Set arm.substeps = 1 and arm.cable_hz = 0, or physics = "wam".'
+            raise InputError("physics", "mjx", "used without substeps and cable mode", remedy)
+
+    @property
+    def timing(self) -> Timing:
+        """Sampling of the controller and delay of the world."""
+        return Timing(self.sampling_time, self.delay)
+
+    @property
+    def steps(self) -> int:
+        """Number of samples."""
+        return round(self.duration / self.sampling_time)
+
+    @staticmethod
+    def published(name: str) -> "Experiment":
+        """An experiment of the paper ("table-1", "figure-3", on the arm "table-1-wam", "figure-3-wam") or a scenario.
+
+        Raises:
+            InputError: The name is not one of these.
+        """
+        folder = resources.files("jaxmpc.experiment") / "published"
+        known = sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+        if name not in known:
+            raise InputError("published experiment", name, "a known name", nearest(name, known))
+        with resources.as_file(folder / f"{name}.toml") as path:
+            return Experiment.from_toml(path)
+
+    @staticmethod
+    def from_toml(path: str | Path) -> "Experiment":
+        """An experiment from its file; a recording is looked for beside it.
+
+        Raises:
+            InputError: Names file, line, key, value, bound and remedy.
+        """
+        from jaxmpc.files.toml import located, read_toml
+
+        data = read_toml(path)
+        with located(path):
+            return Experiment.from_dict(data, Path(path).parent)
+
+    @staticmethod
+    def from_dict(data: dict[str, Any], folder: Path | None = None, root: str = "") -> "Experiment":
+        """An experiment from plain data.
+
+        Args:
+            data: Keys as in the TOML file.
+            folder: Where a recording with a relative path lies.
+            root: Name of the table that `data` is, for messages.
+
+        Raises:
+            InputError: A key is unknown, a value of the wrong type or out of bounds, a recording unusable.
+        """
+        from jaxmpc.files.toml import convert, known_keys
+
+        known_keys(Experiment, data, root)
+        tables: dict[str, type[msgspec.Struct]] = {
+            "motion": Motion,
+            "reference": Reference,
+            "sensor": SensorSettings,
+            "tissue": TissueSettings,
+            "arm": ArmSettings,
+        }
+        for key, kind in tables.items():
+            if isinstance(table := data.get(key), dict):
+                known_keys(kind, table, f"{root}.{key}".lstrip("."))
+        experiment = convert(data, Experiment, root)
+        if experiment.motion.file and folder is not None:
+            found = str(folder / experiment.motion.file)
+            motion = msgspec.structs.replace(experiment.motion, file=found)
+            experiment = msgspec.structs.replace(experiment, motion=motion)
+        if experiment.motion.kind == "recording":
+            _ = experiment.signals
+        if experiment.physics != "linear":
+            experiment.arm.resting()
+        return experiment
+
+    def with_seed(self, seed: int) -> "Experiment":
+        """The same experiment with the phases of the motion and the sensor noise drawn anew."""
+        motion = msgspec.structs.replace(self.motion, phases="random", seed=seed)
+        return msgspec.structs.replace(self, motion=motion, sensor=msgspec.structs.replace(self.sensor, seed=seed))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, every default written out; for hashes and manifests."""
+        data: dict[str, Any] = msgspec.to_builtins(self)
+        return data
+
+    @cached_property
+    def signals(self) -> Signals:
+        """Everything that does not depend on the controller, computed once on the host."""
+        t = np.arange(self.steps) * self.sampling_time
+        horizon = HP_MAX if self.reference.preview else 0
+        ahead = np.arange(self.steps + horizon) * self.sampling_time
+        wanted, ramps = zip(*(wanted_force(getattr(self.reference, axis), ahead) for axis in AXES), strict=True)
+        score = (t >= self.settle)[:, None] & ~np.stack(ramps, 1)[: self.steps]
+        if not score.any(axis=0).all():
+            raise InputError("settle", self.settle, "shorter", "No sample is left to score: all are settling or ramps.")
+        noise = np.random.Generator(np.random.Philox([self.sensor.seed, 1])).standard_normal((self.steps, 3))
+        return Signals(displacement(self.motion, t)[0], self.sensor.noise * noise, np.stack(wanted, 1), score)

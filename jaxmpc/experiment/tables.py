@@ -1,0 +1,220 @@
+"""The tables [arm] and [tissue] of an experiment: which robot presses on what, and how imperfect both are.
+
+The defaults are the nominal imperfect arm on the paper's elastic tissue. Every imperfection can be switched off by
+itself with a zero.
+"""
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from jaxmpc.files.errors import InputError
+from jaxmpc.law.computed_torque import Nominal
+from jaxmpc.law.friction_compensation import NominalFriction
+from jaxmpc.law.scalar import Vector
+from jaxmpc.world import drive
+from jaxmpc.world.arm import TOOL_MASS, joint_ranges, link_inertias, posture_at, tip_at
+from jaxmpc.world.friction import Friction
+from jaxmpc.world.robot import Cable, Robot, RobotStructure
+from jaxmpc.world.sensor import SensorModel
+from jaxmpc.world.tissue import KINDS, Tissue
+
+if TYPE_CHECKING:
+    from jaxmpc.experiment.experiment import Experiment
+
+Angle = Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)]
+Metre = Annotated[float, msgspec.Meta(ge=-2.0, le=2.0)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
+Kilogram = Annotated[float, msgspec.Meta(ge=-1.0, le=4.0)]
+Torque = Annotated[float, msgspec.Meta(ge=0.0, le=200.0)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
+Joints = tuple[Torque, Torque, Torque, Torque]
+
+
+class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The tissue turns stiffer or softer under way."""
+
+    at: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)]
+    """When it begins [s]."""
+    factor: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
+    """New stiffness over the experiment's [-]."""
+    duration: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 0.2
+    """How long it takes [s]."""
+
+
+class TissueSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the tip presses on; the stiffness itself is the experiment's."""
+
+    kind: Literal["elastic", "kelvin-voigt", "standard-linear", "hunt-crossley", "fung"] = "elastic"
+    attached: bool = True
+    """Whether it holds the tip, as in the paper; else contact can be lost."""
+    viscosity: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 3.0
+    """Of "kelvin-voigt" [N s/m]."""
+    relaxing: Annotated[float, msgspec.Meta(ge=0.0, le=0.95)] = 0.25
+    """Share of the stiffness that relaxes in "standard-linear" [-]."""
+    time_constants: tuple[Positive, Positive] = (0.1, 1.0)
+    """Of its two branches [s]."""
+    dissipation: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.5
+    """Of "hunt-crossley" [s/m]."""
+    changes: tuple[Change, ...] = ()
+    """Changes of stiffness under way, in order of time."""
+
+
+class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The 4-DoF WAM and its imperfections."""
+
+    posture: tuple[Angle, Angle, Angle, Angle] = (0.0, 0.7, 0.0, 2.2)
+    """Joint angles at the start, J1–J4 [rad]."""
+    target: tuple[Metre, Metre, Metre] | None = None
+    """Where the tip is to touch, in the shoulder frame [m]; chooses the posture nearest to `posture`."""
+    integrator: Literal["leapfrog", "euler"] = "leapfrog"
+    """"euler" is MuJoCo's, for comparisons."""
+    substeps: Annotated[int, msgspec.Meta(ge=1, le=64)] = 1
+    """Physics steps per sample."""
+    tool_mass: Annotated[float, msgspec.Meta(ge=0.0, le=4.0)] = TOOL_MASS
+    """Tool and sensor at the tip [kg]."""
+    beyond_sensor: Annotated[float, msgspec.Meta(ge=0.0, le=4.0)] = 0.0
+    """Part of it whose inertia the force sensor reads; its weight is tared [kg]."""
+    coulomb: Joints = (2.025, 2.25, 1.125, 0.66)
+    """Coulomb friction of the joints [N m] (OWD; the other published row is 1.6, 0.53, 0.35, 0.63)."""
+    presliding: Annotated[float, msgspec.Meta(ge=1e-5, le=0.1)] = 1e-3
+    """Deflection at which it is fully there [rad] (prior)."""
+    viscous: Joints = (1.5, 0.9, 0.5, 0.25)
+    """Viscous friction of the joints [N m s/rad] (OWD; the other published row is 1.63, 2.372, 0.8554, 0.6153)."""
+    compensation: Share = 0.0
+    """Share of the friction that the controller compensates [-]."""
+    nominal_coulomb: Joints | None = None
+    """Coulomb friction of which it compensates that share [N m]; none is the true one."""
+    nominal_viscous: Joints | None = None
+    """Viscous friction of which it compensates that share [N m s/rad]; none is the true one."""
+    nominal_presliding: Annotated[float, msgspec.Meta(ge=1e-5, le=0.1)] | None = None
+    """Deflection at which it believes friction to be fully there [rad]; none is the true one."""
+    mass_error: Annotated[float, msgspec.Meta(gt=-0.9, le=1.0)] = -0.1
+    """Relative error of the masses and inertias that the controller believes [-]."""
+    tool_mass_error: Kilogram = 0.0
+    """Mass at the tip that only the controller believes in [kg]."""
+    encoder_counts: Annotated[int, msgspec.Meta(ge=0, le=10_000_000)] = 4096
+    """Per motor turn; 0 is a perfect encoder."""
+    torque_lsb: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 1.0 / drive.IPNM
+    """Motor torque per unit of the command [N m]; 0 is a perfect one."""
+    torque_limit: tuple[Torque, Torque, Torque, Torque] = drive.TORQUE_LIMIT
+    """Largest torque of each motor [N m]."""
+    cable_hz: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0
+    """Cable mode of each joint against its locked motor [Hz] (prior 15–60); 0 is a rigid cable."""
+    cable_damping: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.05
+    """Its damping ratio [-] (prior 0.03–0.1)."""
+
+    def __post_init__(self) -> None:
+        if self.cable_hz and self.integrator == "euler":
+            raise InputError("arm.integrator", "euler", '"leapfrog" with a cable mode', "Set arm.cable_hz = 0.")
+        if self.beyond_sensor > self.tool_mass:
+            bound = f"at most arm.tool_mass (= {self.tool_mass:g} kg)"
+            raise InputError("arm.beyond_sensor", self.beyond_sensor, bound, "The sensor is part of the tool.")
+
+    def resting(self) -> Vector:
+        """Joint angles at the start [rad].
+
+        Raises:
+            InputError: The posture is out of the joint limits, or no posture reaches the target.
+        """
+        for name, angle, (low, high) in zip(("J1", "J2", "J3", "J4"), self.posture, joint_ranges(), strict=True):
+            if not low <= angle <= high:
+                bound = f"in [{low:g}, {high:g}] rad for {name}"
+                raise InputError("arm.posture", angle, bound, "Choose a posture within the joint limits.")
+        if self.target is None:
+            return tuple(map(float, self.posture))
+        return posture_at(self.target, self.posture)
+
+
+def kind_of(arm: ArmSettings, tissue: TissueSettings, kalman: bool) -> RobotStructure:
+    """What of the settings makes a program of its own."""
+    assert tissue.kind in KINDS
+    cable, tool_inertia = arm.cable_hz > 0.0, arm.beyond_sensor > 0.0
+    structure = cable, kalman, tool_inertia, arm.integrator, arm.substeps, arm.compensation > 0.0
+    return RobotStructure(tissue.kind, tissue.attached, *structure)
+
+
+def softening(tissue: TissueSettings, t: np.ndarray) -> np.ndarray:
+    """Factor on the stiffness over time, shape (steps,) [-]."""
+    factor = np.ones(len(t))
+    for change in tissue.changes:
+        s = np.clip((t - change.at) / change.duration, 0.0, 1.0) if change.duration else (t >= change.at) * 1.0
+        factor += (change.factor - factor) * s**2 * (3.0 - 2.0 * s)
+    return factor
+
+
+def robot_of(experiment: "Experiment") -> Robot:
+    """The constants of an experiment's world; the stiffness is left open."""
+    arm, tissue, sensor, T_s = experiment.arm, experiment.tissue, experiment.sensor, experiment.sampling_time
+    posture = arm.resting()
+    return Robot(
+        drive=drive.Drive(
+            T_s,
+            drive.angle_lsb(arm.encoder_counts),
+            drive.pole(experiment.velocity_lowpass, T_s),
+            arm.torque_lsb,
+            arm.torque_limit,
+        ),
+        friction=Friction(arm.coulomb, arm.presliding),
+        viscous=arm.viscous,
+        cable=_cable(arm, posture),
+        tool_mass=arm.tool_mass - TOOL_MASS,
+        sensor=SensorModel(
+            drive.pole(2.0 * np.pi * sensor.lowpass_hz, T_s),
+            sensor.lsb,
+            arm.beyond_sensor,
+            kalman_gains(sensor.kalman, sensor.noise, T_s) if sensor.kalman else (1.0, 0.0),
+        ),
+        tissue=Tissue(0.0, tissue.viscosity, tissue.relaxing, *tissue.time_constants, tissue.dissipation),
+        nominal=Nominal(
+            1.0 + arm.mass_error,
+            arm.tool_mass_error,
+            NominalFriction(
+                tuple(arm.compensation * value for value in arm.nominal_coulomb or arm.coulomb),
+                tuple(arm.compensation * value for value in arm.nominal_viscous or arm.viscous),
+                arm.nominal_presliding or arm.presliding,
+            ),
+        ),
+        posture=posture,
+        touch=tuple(map(float, tip_at(posture))),
+        extra_delay=float(experiment.delay - 1),
+    )
+
+
+def robot_on_its_tissue(experiment: "Experiment") -> Robot:
+    """The same with the experiment's stiffness.
+
+    Raises:
+        InputError: The experiment has several.
+    """
+    if len(experiment.stiffness) != 1:
+        remedy = "Take one experiment per stiffness."
+        raise InputError("stiffness", list(experiment.stiffness), "one stiffness [N/m]", remedy)
+    robot = robot_of(experiment)
+    return robot._replace(tissue=robot.tissue._replace(stiffness=experiment.stiffness[0]))
+
+
+def kalman_gains(rate_change: float, noise: float, T_s: float) -> tuple[float, float]:
+    """Steady gains [-] and [1/s] of a filter whose model is a force with a slowly changing rate.
+
+    Args:
+        rate_change: Standard deviation of the rate's change per sample [N/s].
+        noise: Standard deviation of the measured force [N].
+        T_s: Sampling time [s].
+    """
+    from scipy.linalg import solve_discrete_are
+
+    A, C = np.array([[1.0, T_s], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    R = max(noise, 1e-6) ** 2
+    P = solve_discrete_are(A.T, C.T, np.diag([0.0, rate_change**2]), np.array([[R]]))
+    gain = (P @ C.T / (C @ P @ C.T + R)).ravel()
+    return float(gain[0]), float(gain[1])
+
+
+def _cable(arm: ArmSettings, posture: Vector) -> Cable:
+    """Springs whose frequency against a locked motor, link by link in the posture, is `cable_hz`."""
+    omega = 2.0 * np.pi * arm.cable_hz
+    stiffness = omega**2 * link_inertias(posture)
+    damping = 2.0 * arm.cable_damping / max(omega, 1e-9) * stiffness
+    return Cable(tuple(stiffness.tolist()), tuple(damping.tolist()))

@@ -1,0 +1,165 @@
+"""The golden trace: forces (and angles) of a simulated run, and what the JAX-traced law answered to them."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmpc.engine.rollout import scalars
+from jaxmpc.engine.scene import program_spec, scenario_data
+from jaxmpc.evaluation import evaluate_block
+from jaxmpc.experiment import Experiment
+from jaxmpc.experiment.tables import robot_of
+from jaxmpc.law import cascade, force_control, gain_backoff
+from jaxmpc.law.cascade import Gains
+from jaxmpc.synthesis.params import Params
+from jaxmpc.world import drive as drives
+from jaxmpc.world.arm import chain
+from jaxmpc.world.robot import Robot
+from jaxmpc.xla import ops
+from jaxmpc.xla.once import JitOnce
+from jaxmpc.xla.precision import in_float64
+
+
+class ArmRun(NamedTuple):
+    """What a controller on the arm reads, sample by sample."""
+
+    q: np.ndarray
+    """Measured joint angles, shape (steps, 4) [rad]."""
+    force: np.ndarray
+    """Measured force, shape (steps, 3) [N]."""
+    force_ref: np.ndarray
+    """Wanted force, shape (steps, 3), with preview (steps, 3, H_p max) [N]."""
+
+
+class ArmAnswer(NamedTuple):
+    """What the law answers to it."""
+
+    v: np.ndarray
+    """Commands of the cascades, shape (steps, 3) [m/s²]."""
+    torque: np.ndarray
+    """Joint torques wanted, shape (steps, 4) [N m]."""
+    applied: np.ndarray
+    """Those within the motors' limits and rounded to whole units, of which the observers are told [N m]."""
+
+
+@in_float64
+def simulated_run(params: Params, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
+    """Measured and wanted force of one controller at the experiment's middle stiffness.
+
+    Returns:
+        Force (steps, 3) [N], and wanted force (steps, 3), with preview (steps, 3, H_p max) [N].
+    """
+    middle = len(experiment.stiffness) // 2
+    trace = _simulated(params, experiment, experiment.stiffness[middle : middle + 1])
+    wanted = np.moveaxis(trace["force_ref"][0], 0, 1)
+    return trace["force"][0].T, wanted if experiment.reference.preview else wanted[:, :, 0]
+
+
+@in_float64
+def simulated_arm_runs(params: Params, experiment: Experiment, stiffness: tuple[float, ...]) -> list[ArmRun]:
+    """What one controller reads on the experiment's arm, at each stiffness [N/m]."""
+    trace = _simulated(params, experiment, stiffness)
+    drive, runs = robot_of(experiment).drive, []
+    for q, force, force_ref in zip(trace["q"], trace["force"], trace["force_ref"], strict=True):
+        # The encoders are read as the arm reads them, but for the cable, which the trace does not tell.
+        measured = np.stack(drives.read(drive, tuple(q), np), axis=1)
+        wanted = np.moveaxis(force_ref, 0, 1)
+        runs.append(ArmRun(measured, force.T, wanted if experiment.reference.preview else wanted[:, :, 0]))
+    return runs
+
+
+def _simulated(params: Params, experiment: Experiment, stiffness: tuple[float, ...]) -> dict[str, np.ndarray]:
+    """Signals of one controller by name, each (stiffness, axes or joints, steps, …)."""
+    names = ("force", "force_ref") if experiment.physics == "linear" else ("force", "force_ref", "q")
+    scene, world = scenario_data(experiment)._replace(stiffness=np.asarray(stiffness)), program_spec(experiment)
+
+    @JitOnce
+    def run(batch: Params) -> dict[str, Any]:
+        # Of the outcome only parts of the trace are returned, so nothing else is compiled.
+        outcome = evaluate_block(batch, scene, world=world, dtype="float64", traced=True)
+        return {name: getattr(outcome.trace, name)[0] for name in names}
+
+    return {name: np.asarray(x) for name, x in run(jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], params)).items()}
+
+
+@in_float64
+def law_trace(gains: Gains, force: np.ndarray, force_ref: np.ndarray, preview: bool) -> np.ndarray:
+    """Commands of the JAX-traced law to a recorded run, after a reset to its first force.
+
+    Args:
+        gains: One controller.
+        force: Measured force, shape (steps, 3) [N].
+        force_ref: Wanted force, shape (steps, 3), with preview (steps, 3, H_p max) [N].
+        preview: Whether the reference is known along H_p.
+
+    Returns:
+        Accelerations v, shape (steps, 3) [m/s²].
+    """
+
+    def one(state: cascade.AxisState, now: tuple[Any, Any]) -> tuple[cascade.AxisState, Any]:
+        return cascade.step(apart, state, now[0], tuple(now[1]))
+
+    def axis(force: Any, ref: Any) -> Any:
+        return jax.lax.scan(one, cascade.init(force[0], cascade.order(apart)), (force, ref))[1]
+
+    apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
+    wanted = force_ref if preview else force_ref[:, :, None]
+    return np.asarray(jax.jit(jax.vmap(axis, in_axes=1, out_axes=1))(jnp.asarray(force), jnp.asarray(wanted)))
+
+
+@in_float64
+def arm_law_trace(gains: Gains, K2: float, experiment: Experiment, run: ArmRun) -> ArmAnswer:
+    """Answers of the JAX-traced law of the whole tick to a recorded run, after a start at its first sample.
+
+    Args:
+        gains: One controller.
+        K2: Damping [1/s].
+        experiment: Its arm is what the controller believes in.
+        run: What was read.
+    """
+    preview, compensated = experiment.reference.preview, experiment.arm.compensation > 0.0
+    apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
+    # What was read has been rounded by the encoders already.
+    robot = robot_of(experiment)
+    robot = robot._replace(drive=robot.drive._replace(angle_lsb=0.0))
+    wanted = run.force_ref if preview else run.force_ref[:, :, None]
+    return ArmAnswer(*map(np.asarray, _arm_law(apart, K2, robot, (run.q, run.force, wanted), compensated=compensated)))
+
+
+def _arm_law_trace(gains: Gains, K2: Any, robot: Robot, run: Any, compensated: bool) -> Any:
+    arm, order = chain(), cascade.order(gains)
+
+    def one(state: Any, now: Any) -> Any:
+        controller, read = state
+        q, force, wanted = now
+        read = drives.measure(robot.drive, read, tuple(q), ops)
+        reference = tuple(map(tuple, wanted))
+        controller, command = force_control.step(
+            arm,
+            robot.nominal,
+            robot.posture,
+            gains,
+            K2,
+            controller,
+            tuple(q),
+            read.velocity,
+            tuple(force),
+            reference,
+            ops,
+        )
+        torque = command.torque.torque
+        _, sent = drives.command(robot.drive, torque, ops)
+        controller = force_control.applied(controller, command, sent)
+        return (controller, read), tuple(map(jnp.stack, (command.v, torque, sent)))
+
+    zero, q, force = 0.0 * K2, tuple(run[0][0]), tuple(run[1][0])
+    x, y, z = (cascade.init(each, order) for each in force)
+    guard = None if gains.guard is None else gain_backoff.init(zero)
+    controller = force_control.init(zero, order, q if compensated else None)._replace(axes=(x, y, z), guard=guard)
+    start = (controller, drives.DriveState(q, (zero,) * 4))
+    return jax.lax.scan(one, start, run)[1]
+
+
+_arm_law = JitOnce(_arm_law_trace, static_argnames=("compensated",))

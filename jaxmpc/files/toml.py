@@ -1,0 +1,130 @@
+"""TOML files in and out: every mistake is placed at its file, line and key."""
+
+import re
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from jaxmpc.files.errors import InputError, nearest
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        InputError: The file is missing, unreadable, not UTF-8, or not TOML (a duplicate key, say).
+    """
+    path = Path(path)
+    try:
+        # The newline lets a mistake in an unfinished last line have a line number.
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n") + "\n")
+    except OSError as error:
+        raise InputError(str(path), "not readable", "a TOML file", f"{error.strerror}.") from None
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), f"byte {error.start}", "UTF-8 text", "Save the file as UTF-8.") from None
+    except tomllib.TOMLDecodeError as error:
+        line = re.search(r"line (\d+)", str(error))
+        number = int(line[1]) if line else None
+        text = path.read_text().splitlines()[number - 1].strip() if number else "the end of the file"
+        raise InputError("TOML", text, "valid TOML", f"{error}.", path, number) from None
+
+
+@contextmanager
+def located(path: str | Path) -> Iterator[None]:
+    """Add file and line to an input error raised inside, from the key that it names."""
+    try:
+        yield
+    except InputError as error:
+        raise error.at(Path(path), _line_of(Path(path), error.key)) if error.file is None else error from None
+
+
+def convert(data: Any, kind: type[T], root: str = "") -> T:
+    """Plain data as a msgspec structure, with its mistakes as input errors.
+
+    Args:
+        data: What a TOML file held.
+        kind: The structure wanted; it forbids unknown fields and bounds its numbers.
+        root: Name of the table that `data` is, for messages.
+
+    Raises:
+        InputError: An unknown key, a missing one, a wrong type, or a value out of bounds.
+    """
+    try:
+        return msgspec.convert(data, kind, strict=True)
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, InputError):
+            raise error.__cause__ from None
+        raise _explain(error, data, root) from None
+
+
+def _explain(error: msgspec.ValidationError, data: Any, root: str) -> InputError:
+    text, _, path = str(error).partition(" - at `$")
+    path = path.strip("`").lstrip(".")
+    if unknown := re.search(r"contains unknown field `(.*)`", text):
+        key = ".".join(part for part in (root, path, unknown[1]) if part)
+        value = _lookup(data, f"{path}.{unknown[1]}".lstrip("."))
+        return InputError(key, value, "a known key", f"Remove it, or correct its name: {text}.")
+    if missing := re.search(r"missing required field `(.*)`", text):
+        key = ".".join(part for part in (root, path, missing[1]) if part)
+        return InputError(key, "missing", "given", f"Add `{missing[1]} = …`.")
+    bound = text.removeprefix("Expected ").replace("`", "")
+    key = ".".join(part for part in (root, path) if part)
+    return InputError(key or "the file", _lookup(data, path), bound, "Correct the value.")
+
+
+def known_keys(kind: type[msgspec.Struct], table: dict[str, Any], root: str = "") -> None:
+    """Refuse a key that the structure does not have, naming the likeliest meant one."""
+    names = [field.encode_name for field in msgspec.structs.fields(kind)]
+    for key, value in table.items():
+        if key not in names:
+            raise InputError(f"{root}.{key}".lstrip("."), value, "a known key", nearest(key, names))
+
+
+def _lookup(data: Any, path: str) -> Any:
+    for part in re.findall(r"\w+|\[\d+\]", path):
+        index = int(part[1:-1]) if part.startswith("[") else part
+        try:
+            data = data[index]
+        except (KeyError, IndexError, TypeError):
+            return "missing"
+    return data
+
+
+def _line_of(path: Path, key: str) -> int | None:
+    """The line of a TOML file that sets a dotted key, or else the nearest table around it."""
+    parts = [part for part in re.split(r"[.\[\]]", key) if part and not part.isdigit()]
+    try:
+        lines = path.read_text().splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None
+    while parts:
+        *tables, name = parts
+        header, anywhere, table = None, None, ""
+        for number, line in enumerate(lines, 1):
+            if found := re.match(r"\s*\[+\s*([^\]]+?)\s*\]+", line):
+                table = found[1]
+                header = header or (number if table.split(".")[-1] == name else None)
+            elif re.match(rf"\s*(?:[\w.]*\.)?{re.escape(name)}\s*=", line):
+                if not tables or table.endswith(tables[-1]):
+                    return number
+                anywhere = anywhere or number
+        if header or anywhere:
+            return header or anywhere
+        parts = tables
+    return None
+
+
+def write_toml(path: str | Path, data: dict[str, Any], comment: str = "") -> None:
+    """Write a TOML file whole or not at all."""
+    import tomli_w
+
+    from jaxmpc.files.sealed import write_atomic
+
+    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    write_atomic(Path(path), (head + tomli_w.dumps(data)).encode())

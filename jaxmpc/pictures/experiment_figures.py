@@ -1,0 +1,164 @@
+"""Figures of one experiment, laid out as the paper's Figs. 3 and 4."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxmpc.experiment import AXES, Experiment
+from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure, outline
+from jaxmpc.spectra.disturbance import RECORD, Peaks, disturbance, peaks, power_spectral_density
+from jaxmpc.status import Status
+
+if TYPE_CHECKING:
+    from jaxmpc.evaluation import Outcome
+
+COLOURS = (TUNED, "#3a7d44", ACCENT)
+"""X, Y, Z."""
+SHOWN_HZ = 8.0
+"""Where the spectrum ends: the paper's last peak is at 6.32 [Hz]."""
+
+
+def row_to_draw(outcome: "Outcome", still: "Outcome") -> int | None:
+    """The stiffness nearest the middle one that ended well in both runs; None where there is none.
+
+    Losing contact is no obstacle: the run went on.
+    """
+    usable = (int(Status.OK), int(Status.LOST_CONTACT))
+    pairs = zip(np.asarray(outcome.status), np.asarray(still.status), strict=True)
+    ended = [row for row, pair in enumerate(pairs) if all(code in usable for code in pair)]
+    middle = len(outcome.status) // 2
+    return min(ended, key=lambda row: abs(row - middle), default=None)
+
+
+def disturbance_seen(experiment: Experiment, outcome: "Outcome", still: "Outcome", row: int) -> np.ndarray:
+    """The paper's Fig. 3a from a run with and one without heart motion, shape (3, steps) [N]."""
+    assert outcome.trace is not None
+    assert still.trace is not None
+    moving, quiet = outcome.trace, still.trace
+    return disturbance(
+        experiment.stiffness[row], moving.tip[row], quiet.tip[row], moving.force[row], moving.force_ref[row, :, :, 0]
+    )
+
+
+def experiment_figure(
+    path: Path, experiment: Experiment, outcome: "Outcome", still: "Outcome", row: int | None = None
+) -> None:
+    """Disturbance, force and residual over time, as the paper's Fig. 3.
+
+    Args:
+        path: Where it goes.
+        experiment: What was run.
+        outcome: Its outcome, with trace.
+        still: The same without heart motion, with trace.
+        row: Which stiffness; the middle one unless given.
+    """
+    assert outcome.trace is not None
+    assert still.trace is not None
+    row = len(experiment.stiffness) // 2 if row is None else row
+    t = np.arange(experiment.steps) * experiment.sampling_time
+    wanted, force = np.asarray(outcome.trace.force_ref)[row, :, :, 0], np.asarray(outcome.trace.force)[row]
+    residual, quiet = force - wanted, np.asarray(still.trace.force)[row] - wanted
+    felt = disturbance_seen(experiment, outcome, still, row)
+    scored = experiment.signals.score
+    # Of one scale, so that the axes compare; what is not scored (a ramp, the first contact) may leave it.
+    bound = 1.45 * max(float(np.abs(residual.T[scored]).max()), 1e-3)
+
+    with figure(path, rows=5, size=(8.0, 9.6)) as axes:
+        top, applied, *panels = axes
+        for axis, colour in enumerate(COLOURS):
+            top.plot(*outline(t, felt[axis]), color=colour, lw=0.9, label=AXES[axis].upper())
+            applied.plot(*outline(t, force[axis]), color=colour, lw=0.9, label=AXES[axis].upper())
+            applied.plot(
+                *outline(t, wanted[axis]), color="black", lw=0.9, ls="--", label="wanted" if axis == 2 else None
+            )
+            panel, counts = panels[axis], scored[:, axis]
+            rms = [1e3 * np.sqrt(np.mean(x[axis, counts] ** 2)) for x in (residual, quiet)]
+            panel.plot(*outline(t, residual[axis]), color=colour, lw=0.6, label=f"Heartbox on, RMS {rms[0]:.0f} mN")
+            panel.plot(*outline(t, quiet[axis]), color="black", lw=0.5, label=f"Heartbox off, RMS {rms[1]:.0f} mN")
+            panel.set_ylabel(f"residual {AXES[axis].upper()} [N]")
+            panel.set_ylim(-bound, bound)
+            panel.legend(ncols=2, loc="upper right", borderaxespad=0.1)
+            if experiment.settle:
+                panel.axvspan(0.0, experiment.settle, color=BASELINE, alpha=0.15, lw=0.0)
+        top.set_title(f"{experiment.name}, $K_s$ = {experiment.stiffness[row]:g} N/m (shaded: not scored)", loc="left")
+        top.set_ylabel("disturbance [N]")
+        applied.set_ylabel("applied force [N]")
+        for panel in (top, applied):
+            low, high = panel.get_ylim()
+            panel.set_ylim(low, high + 0.22 * (high - low))
+            panel.legend(ncols=4, loc="upper right", borderaxespad=0.1)
+        for panel in axes:
+            panel.set_xlim(0.0, experiment.duration)
+        for panel in axes[:-1]:
+            panel.tick_params(labelbottom=False)
+        panels[-1].set_xlabel("time [s]")
+        panels[-1].figure.align_ylabels(axes)
+
+
+def spectrum_figure(path: Path, experiment: Experiment, outcome: "Outcome", still: "Outcome", row: int) -> Peaks:
+    """Power spectral density of the disturbance with its peaks marked, as the paper's Fig. 4.
+
+    Args:
+        path: Where it goes.
+        experiment: What was run.
+        outcome: Its outcome, with trace.
+        still: The same without heart motion, with trace.
+        row: Which stiffness.
+
+    Returns:
+        The peaks, found in the last `RECORD` seconds that are scored.
+    """
+    T_s = experiment.sampling_time
+    seconds = min(RECORD, experiment.duration - experiment.settle)
+    felt = disturbance_seen(experiment, outcome, still, row)[:, -round(seconds / T_s) :]
+    found, spectrum = peaks(felt, T_s, experiment.stiffness[row]), power_spectral_density(felt, T_s)
+    shown = (spectrum.frequency > 0.0) & (spectrum.frequency <= SHOWN_HZ)
+    highest = spectrum.density[:, shown].max()
+    with figure(path, size=(8.0, 4.2)) as panel:
+        for axis, colour in enumerate(COLOURS):
+            density = spectrum.density[axis]
+            panel.semilogy(spectrum.frequency[shown], density[shown], color=colour, lw=1.1, label=AXES[axis].upper())
+        for frequency in found.frequency:
+            panel.axvline(frequency, color=BASELINE, lw=0.8, ls=":", zorder=0.5)
+            label = {"ha": "center", "va": "bottom", "fontsize": 8.5, "rotation": 90.0, "backgroundcolor": "white"}
+            panel.annotate(f"{frequency:.2f}", (frequency, 2.5 * highest), **label)
+        panel.set_ylim(1e-6 * highest, 30.0 * highest)
+        panel.set_xlim(0.0, SHOWN_HZ)
+        panel.set_xlabel("frequency [Hz]")
+        panel.set_ylabel("disturbance [N²/Hz]")
+        panel.set_title(
+            f"{experiment.name}, $K_s$ = {experiment.stiffness[row]:g} N/m: {seconds:g} s, "
+            f"bins of {1.0 / seconds:.2g} Hz, Hann window; peaks in Hz",
+            loc="left",
+        )
+        panel.legend(loc="upper right")
+    return found
+
+
+def before_after_figure(path: Path, experiment: Experiment, outcome: "Outcome", seconds: float = 8.0) -> None:
+    """Residual on Z over time of two controllers, one panel per stiffness.
+
+    Args:
+        path: Where it goes.
+        experiment: What was run.
+        outcome: A batch of two, before and after, with trace.
+        seconds: How much of the run's end is shown [s].
+    """
+    assert outcome.trace is not None
+    force, wanted = np.asarray(outcome.trace.force), np.asarray(outcome.trace.force_ref)[..., 0]
+    shown = slice(-round(seconds / experiment.sampling_time), None)
+    t = (np.arange(experiment.steps) * experiment.sampling_time)[shown]
+    residual = (force - wanted)[:, :, 2, shown]
+    with figure(path, rows=len(experiment.stiffness), size=(8.0, 1.7 * len(experiment.stiffness) + 0.6)) as axes:
+        panels = np.atleast_1d(axes)
+        for row, panel in enumerate(panels):
+            for which, (label, colour) in enumerate((("paper's text design", BASELINE), ("autotuned", TUNED))):
+                rms, M_s = outcome.metrics.rms[which, row, 2], outcome.margins.M_s[which, row]
+                text = f"{label}: RMS {1e3 * rms:.0f} mN, $M_s$ {M_s:.2f}"
+                panel.plot(t, 1e3 * residual[which, row], color=colour, lw=0.7, label=text)
+            panel.set_ylim(*(1.45e3 * np.abs(residual).max() * np.array([-1.0, 1.0])))
+            panel.set_ylabel(f"{experiment.stiffness[row]:g} N/m\nresidual Z [mN]")
+            panel.legend(ncols=2, loc="upper right")
+        panels[0].set_title("Force left over on a beating heart, on motion the tuner had not seen")
+        panels[-1].set_xlabel("time [s]")

@@ -1,0 +1,317 @@
+"""What is tuned: the parameters of one controller, or of a batch of them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from jaxmpc.files.errors import InputError, nearest
+
+HP_MAX = 64
+"""Longest prediction horizon [samples]; arrays along H_p have this length and are masked."""
+HU_MAX = 16
+"""Longest control horizon [samples]."""
+
+Architecture = Literal["mpc-aob", "aob", "mpc"]
+Order = Literal[1, 2, 3]
+STRUCTURE = ("architecture", "disturbance_order", "guarded")
+"""What of a controller is no number to be tuned but needs a program of its own."""
+Number = Float[jax.Array | np.ndarray, "..."]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Sampling of the controller.
+
+    Attributes:
+        T_s: Sampling time [s].
+        delay: Samples between a command and its effect, 1 or 2; the design always assumes 1 [samples].
+    """
+
+    T_s: float = 1e-3
+    delay: int = 1
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.T_s) and 1e-5 <= self.T_s <= 0.1):
+            raise InputError("T_s", self.T_s, "in [1e-5, 0.1] s", "The paper's controller runs at 1e-3.")
+        if self.delay not in (1, 2):
+            raise InputError("delay", self.delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")
+
+
+BOUNDS: Mapping[str, tuple[float, float, str]] = {
+    "lam": (1e-12, 1e12, "-"),
+    "delta": (0.0, 1e12, "-"),
+    "Q_p": (1e-12, 1e12, "(m/s²)²/N²"),
+    "Q_x": (0.0, 1e12, "-"),
+    "R": (1e-12, 1e12, "-"),
+    "T_cl": (1e-6, 10.0, "s"),
+    "K2": (0.0, 1e4, "1/s"),
+    "Khat_s": (1.0, 1e6, "N/m"),
+    "Hp": (1, HP_MAX, "samples"),
+    "Hu": (1, HU_MAX, "samples"),
+}
+"""Smallest and largest accepted value and unit of every parameter."""
+
+DIAGONALS = {"lam": HU_MAX, "delta": HP_MAX}
+"""Parameters that may be one number or a full diagonal, and the length of that."""
+
+
+def _number(value: Any) -> Any:
+    """Numbers become float64 arrays; what JAX made, traced or not, stays as it is."""
+    if isinstance(value, jax.Array | np.ndarray):
+        return value
+    return np.asarray(value, np.float64)
+
+
+_MPC_ALONE: Mapping[str, Any] = {
+    "architecture": "mpc",
+    "lam": 1.2e-4,
+    "Q_p": 855.0,
+    "Q_x": 8.38e-7,
+    "K2": 5.54,
+    "Khat_s": 1194.0,
+    "Hp": 62,
+    "Hu": 7,
+}
+"""On Table I, sampled damping, goal M_s ≤ 4.5 as it runs at all three tissues."""
+_CAUTIOUS: Mapping[str, Any] = {
+    "lam": 0.184,
+    "Q_p": 0.177,
+    "Q_x": 1e-10,
+    "T_cl": 0.00193,
+    "K2": 48.4,
+    "Khat_s": 1297.0,
+    "Hp": 47,
+    "Hu": 10,
+}
+"""Least residual on Table I of 6000 random sets with M_s ≤ 2, 6 and 4 dB, 30°, 1.5 ms and T_cl ≥ 1.5 ms: quicker ones
+ask for torque that no motor gives when a beating heart is met."""
+
+
+class Params(eqx.Module):
+    """Parameters of one controller; every leaf may have leading batch dimensions (see `stack`).
+
+    `delta` and `R` only set scales: the controller depends on λ/δ and Q/R alone.
+
+    Raises:
+        InputError: A value is not finite or out of its bounds, or H_u exceeds H_p.
+    """
+
+    lam: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.1)
+    """λ, weight on the moves of the MPC [-]: one number, or a diagonal of `HU_MAX`."""
+    delta: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.9)
+    """δ, weight on the predicted force errors [-]: one number, or a diagonal of `HP_MAX`."""
+    Q_p: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.5)
+    """Variance of the active state's N-th differences, its increments for N = 1, relative to R [(m/s²)²/N²]."""
+    Q_x: Shaped[Any, "..."] = eqx.field(converter=_number, default=1e-12)
+    """Variance of each state's process noise, relative to R [-]."""
+    R: Shaped[Any, "..."] = eqx.field(converter=_number, default=1.0)
+    """Variance of the force measurement [-]; only Q/R matters."""
+    T_cl: Shaped[Any, "..."] = eqx.field(converter=_number, default=3e-3)
+    """Time constant of the wanted closed loop [s]; below the sampling time is allowed and useful."""
+    K2: Shaped[Any, "..."] = eqx.field(converter=_number, default=10.0)
+    """Damping of the tip velocity [1/s]."""
+    Khat_s: Shaped[Any, "..."] = eqx.field(converter=_number, default=900.0)
+    """Tissue stiffness that the design assumes [N/m]."""
+    Hp: Shaped[Any, "..."] = eqx.field(converter=_number, default=30.0)
+    """Prediction horizon [samples]; whole numbers, but for a tuner on its way to one."""
+    Hu: Shaped[Any, "..."] = eqx.field(converter=_number, default=5.0)
+    """Control horizon [samples]."""
+    architecture: Architecture = eqx.field(static=True, default="mpc-aob")
+    """"mpc-aob", "aob" (u = F_d) or "mpc" (on the open-loop plant)."""
+    disturbance_order: Order = eqx.field(static=True, default=1)
+    """N, order of the random walk that the active state is taken for: 1 constant, 2 ramp, 3 parabola between samples.
+    The same bandwidth needs a lower Q_p the higher N is."""
+
+    guarded: bool = eqx.field(static=True, default=False)
+    """Whether the gain falls while the force swings faster than a heart can (`law.gain_backoff`); on the arm alone."""
+
+    def __check_init__(self) -> None:
+        if self.architecture not in get_args(Architecture):
+            known = list(get_args(Architecture))
+            raise InputError("architecture", self.architecture, "a known one", nearest(str(self.architecture), known))
+        order = self.disturbance_order
+        if type(order) is not int or order not in get_args(Order):
+            raise InputError("disturbance_order", order, "1, 2 or 3", "The paper's active state has order 1.")
+        if self.architecture == "mpc" and order != 1:
+            remedy = "MPC alone has no active state: leave it out."
+            raise InputError("disturbance_order", order, '1 with the architecture "mpc"', remedy)
+        if not isinstance(self.guarded, bool):
+            raise InputError(
+                "guarded", self.guarded, "true or false", "True lets the gain fall while the force swings."
+            )
+        if self.guarded and self.architecture == "mpc":
+            remedy = "MPC alone has no model of the tissue to scale: leave it out."
+            raise InputError("guarded", self.guarded, 'false with the architecture "mpc"', remedy)
+        values = {name: getattr(self, name) for name in BOUNDS}
+        if all(isinstance(value, np.ndarray) for value in values.values()):
+            check_values(values)
+
+    @property
+    def structure(self) -> dict[str, Any]:
+        """Its values of `STRUCTURE`; the same for the whole of a batch."""
+        return {name: getattr(self, name) for name in STRUCTURE}
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Leading dimensions; () for one controller."""
+        return tuple(self.Khat_s.shape)
+
+    @staticmethod
+    def published(name: str) -> "Params":
+        """A parameter set of the paper, or one to compare it with.
+
+        Args:
+            name: "text" (K̂_s = 900 N/m, as the paper's text says; the default baseline) or "printed"
+                (K̂_s = 500 N/m, the one to which its printed gains belong), or "mpc-alone": the architecture "mpc",
+                tuned by `jaxmpc tune` to the text design's M_s as it runs, for comparison; the paper prints none.
+                "cautious" keeps M_s below 2 from 375 to 1900 N/m, at twice the residual: a first one for a robot.
+
+        Raises:
+            InputError: The name is not one of these.
+        """
+        known = {
+            "text": {"Khat_s": 900.0},
+            "printed": {"Khat_s": 500.0},
+            "mpc-alone": _MPC_ALONE,
+            "cautious": _CAUTIOUS,
+        }
+        if name not in known:
+            raise InputError("published parameters", name, "a known name", nearest(name, list(known)))
+        return Params.from_dict(known[name])
+
+    @staticmethod
+    def from_dict(values: Mapping[str, Any]) -> "Params":
+        """Parameters from plain values; unnamed ones are the text design's.
+
+        A diagonal may be given up to H_u (λ) or H_p (δ) only: its last entry is repeated.
+
+        Raises:
+            InputError: An unknown name, a wrong type, or a value out of bounds.
+        """
+        known = [*BOUNDS, *STRUCTURE]
+        given: dict[str, Any] = {}
+        for name, value in values.items():
+            if name not in known:
+                raise InputError(name, value, "a known parameter", nearest(name, known))
+            given[name] = value if name in STRUCTURE else _from_plain(name, value)
+        return Params(**given)
+
+    @staticmethod
+    def from_toml(path: str | Path) -> "Params":
+        """Parameters from a `params.toml`, its table [params].
+
+        Raises:
+            InputError: The file cannot be read or holds something wrong; names file, line and key.
+        """
+        from jaxmpc.files.toml import located, read_toml
+
+        data = read_toml(path)
+        with located(path):
+            if unknown := [key for key in data if key not in ("params", "provenance")]:
+                raise InputError(unknown[0], data[unknown[0]], "a known table", nearest(unknown[0], ["params"]))
+            if not isinstance(table := data.get("params"), dict):
+                raise InputError("params", "missing", "a table", "Put the parameters under [params].")
+            return Params.from_dict(table)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values of one controller, as `from_dict` takes them."""
+        if self.batch_shape:
+            raise InputError("params", f"a batch {self.batch_shape}", "one controller", "Take one with `params[i]`.")
+        values = {name: np.asarray(getattr(self, name)).tolist() for name in BOUNDS}
+        whole = {name: int(values[name]) for name in ("Hp", "Hu") if values[name] == int(values[name])}
+        return {**self.structure, **values, **whole}
+
+    @staticmethod
+    def stack(batch: Sequence["Params"]) -> "Params":
+        """One batch of several controllers of the same structure; scalars beside diagonals are widened.
+
+        Raises:
+            InputError: The batch is empty, or mixes architectures or disturbance orders.
+        """
+        for name in STRUCTURE:
+            found = sorted({str(getattr(p, name)) for p in batch})
+            if len(found) != 1:
+                remedy = f"Evaluate each {name} by itself."
+                raise InputError(name, ", ".join(found) or "none", "one for the whole batch", remedy)
+        columns = {}
+        for name in BOUNDS:
+            leaves = [getattr(p, name) for p in batch]
+            traced = any(isinstance(leaf, jax.Array) for leaf in leaves)
+            shape = np.broadcast_shapes(*(leaf.shape for leaf in leaves))
+            xp: Any = jnp if traced else np
+            columns[name] = xp.stack([xp.broadcast_to(leaf, shape) for leaf in leaves])
+        return Params(**columns, **batch[0].structure)
+
+    def with_columns(self, columns: Mapping[str, Any]) -> "Params":
+        """A batch of this one controller with some parameters replaced by columns of the same length.
+
+        Args:
+            columns: Values per parameter name, shape (n,), or (n, length) for a full diagonal.
+
+        Raises:
+            InputError: A value is out of bounds; names the parameter and the first such value.
+        """
+        rows = len(next(iter(columns.values())))
+        base = {name: getattr(self, name) for name in BOUNDS}
+        wide: dict[str, Any] = {name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in base.items()}
+        given = {name: np.asarray(value, np.float64) for name, value in columns.items()}
+        return Params(**{**wide, **given}, **self.structure)
+
+    def __getitem__(self, row: int | slice) -> "Params":
+        """One controller, or a slice, of a batch."""
+        rows: Params = jax.tree.map(lambda leaf: leaf[row], self)
+        return rows
+
+
+def _from_plain(name: str, value: Any) -> np.ndarray:
+    """A number or a list of numbers, from a file."""
+    entries = value if isinstance(value, list) else [value]
+    if not entries or any(isinstance(x, bool) or not isinstance(x, int | float) for x in entries):
+        raise InputError(name, value, "a number", f"Its unit is [{BOUNDS[name][2]}].")
+    if not isinstance(value, list):
+        return np.asarray(value, np.float64)
+    if name not in DIAGONALS or len(value) > DIAGONALS[name]:
+        length = f"a number or at most {DIAGONALS[name]} of them" if name in DIAGONALS else "one number"
+        raise InputError(name, f"{len(value)} numbers", length, "Only lam (along Hu) and delta (along Hp) take a list.")
+    return np.asarray(value + [value[-1]] * (DIAGONALS[name] - len(value)), np.float64)
+
+
+def check_values(values: Mapping[str, np.ndarray]) -> None:
+    """Refuse values that no controller can have; works on whole batches.
+
+    Raises:
+        InputError: Names the parameter, the first wrong value, the bound and the remedy.
+    """
+    for name, value in values.items():
+        low, high, unit = BOUNDS[name]
+        wrong = ~(np.isfinite(value) & (value >= low) & (value <= high))
+        if wrong.any():
+            remedy = f"Correct {name}; a typical value is {getattr(Params(), name)} {unit}."
+            raise InputError(name, value[wrong].flat[0], f"in [{low:g}, {high:g}] {unit}", remedy)
+    for name in ("Hp", "Hu"):
+        fractional = values[name] != np.floor(values[name])
+        if fractional.any():
+            raise InputError(name, values[name][fractional].flat[0], "a whole number of samples", f"Round {name}.")
+    if (values["Hu"] > values["Hp"]).any():
+        row = np.flatnonzero(np.ravel(values["Hu"] > values["Hp"]))[0]
+        hu, hp = np.ravel(values["Hu"])[row], np.ravel(values["Hp"])[row]
+        raise InputError("Hu", f"{hu:g}", f"in [1, Hp (= {hp:g})] samples", "Lower Hu or raise Hp.")
+    batch = values["Khat_s"].ndim
+    if not np.all(np.sum(values["delta"], axis=tuple(range(batch, values["delta"].ndim))) > 0.0):
+        raise InputError("delta", 0.0, "positive somewhere", "Without weight on the force error nothing is controlled.")
+
+
+def by_structure(controllers: Sequence[Params]) -> list[list[int]]:
+    """Which controllers can be a batch, as their numbers."""
+    alike: dict[str, list[int]] = {}
+    for i, params in enumerate(controllers):
+        alike.setdefault(repr(params.structure), []).append(i)
+    return list(alike.values())

@@ -1,0 +1,42 @@
+"""What an entry point may do to the process, and a library may not: 64-bit JAX, a device per core, a compile cache."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+
+def use_all_cores(cores: int | None = None) -> None:
+    """Switch 64-bit JAX on and give every CPU core a device of its own; call before JAX computes anything.
+
+    There are two devices at least: a program for one device compiles to other last bits than one for
+    several, and results must not depend on the number of cores. A device count set by the user in
+    XLA_FLAGS is respected.
+
+    Args:
+        cores: Number of devices wanted; None is the number of cores this process may use.
+    """
+    import jax
+
+    config: Any = jax.config
+    config.update("jax_enable_x64", True)
+    _remember_programs(config)
+    wanted = max(2, cores or len(os.sched_getaffinity(0)))
+    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
+        return
+    # Setting the same number again would be refused once JAX has computed something.
+    if config.jax_num_cpu_devices != wanted:
+        config.update("jax_num_cpu_devices", wanted)
+
+
+def _remember_programs(config: Any) -> None:
+    """Keep programs for the next run, compiled and traced, in the user's cache.
+
+    JAX_COMPILATION_CACHE_DIR names another place, JAX_ENABLE_COMPILATION_CACHE=0 keeps none.
+    """
+    from jaxmpc.xla import store
+
+    if config.jax_compilation_cache_dir is None:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        config.update("jax_compilation_cache_dir", str(cache / "jaxmpc" / "programs"))
+    config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+    store.keep_in(Path(config.jax_compilation_cache_dir) / "traced" if config.jax_enable_compilation_cache else None)

@@ -1,0 +1,159 @@
+"""Traced programs on disk: what one process has traced, the next does not trace again.
+
+JAX's compile cache saves what XLA does; the tracing before it is Python, and of a second run the largest part. What
+is kept is the program as `jax.export` writes it, under a name that everything it depends on goes into.
+"""
+
+import hashlib
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import export
+
+from jaxmpc.files.sealed import SealError, digest, seal, unseal, write_atomic
+
+TRACED_BY = ("jax", "jaxlib", "numpy", "equinox", "mujoco", "mujoco-mjx")
+"""Packages whose code a traced program is made of."""
+
+_folder: Path | None = None
+
+
+class Kept(NamedTuple):
+    """A traced program."""
+
+    call: Callable[..., list[Any]]
+    """From the leaves of the arguments to those of the result; traceable."""
+    result: Any
+    """Structure of the result, as plain data (`assembled`)."""
+
+
+def keep_in(folder: Path | None) -> None:
+    """Keep traced programs in a folder, or nowhere: for entry points alone, a library keeps none unless told."""
+    global _folder
+    _folder = folder
+    if folder is not None:
+        # Now: a source that changes while the process runs is not the one that it has imported.
+        _source("jaxmpc")
+
+
+def name_of(function: Callable[..., Any], arguments: dict[str, Any], static: dict[str, Any]) -> str | None:
+    """Name of a program's file: a digest of all that it depends on; None where none is kept.
+
+    Args:
+        function: Traceable, of a module: what a nested function has closed over cannot be told.
+        arguments: The arrays, by name.
+        static: What the program is traced for, by name; told apart by `repr`.
+    """
+    if _folder is None or "<locals>" in function.__qualname__:
+        return None
+    leaves, tree = jax.tree.flatten(arguments)
+    parts = [
+        f"{function.__module__}.{function.__qualname__}",
+        *map(_source, sorted({"jaxmpc", function.__module__.partition(".")[0]})),
+        *_surroundings(),
+        str(jnp.result_type(float)),
+        repr(sorted(static.items())),
+        repr(tree),
+        *(repr(jax.typeof(leaf)) for leaf in leaves),
+    ]
+    return digest(parts)
+
+
+def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], static: dict[str, Any]) -> Kept | None:
+    """The traced program, from its file if there is one, else traced and kept; None where JAX cannot export it.
+
+    Args:
+        name: Of its file (`name_of`).
+        function: Called as function(**arguments, **static).
+        arguments: The arrays, by name.
+        static: The rest, by name.
+    """
+    assert _folder is not None
+    path = _folder / f"{name}.npz"
+    leaves, tree = jax.tree.flatten(arguments)
+    try:
+        header, arrays = unseal(path.read_bytes())
+    except (OSError, SealError):
+        try:
+            header, arrays = _traced(function, leaves, tree, static)
+        # Of any type: what cannot be exported is then traced in the ordinary way, which says what is wrong if need be.
+        except Exception:
+            return None
+        # A full disk costs the next run its tracing, nothing more.
+        with suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, seal(header, arrays))
+    shapes = header["leaves"]
+    # JAX's own file format asks for one more package; all of an exported program but the module follows from its types.
+    like = export.export(jax.jit(lambda *_: [jnp.zeros(*leaf) for leaf in shapes], keep_unused=True))(*leaves)
+    return Kept(replace(like, mlir_module_serialized=arrays["module"].tobytes()).call, header["result"])
+
+
+def assembled(result: Any, leaves: Iterator[Any]) -> Any:
+    """What a function returned, of its leaves and `Kept.result`."""
+    if result is None:
+        return None
+    if result == "array":
+        return next(leaves)
+    module, name = result["kind"]
+    kind = getattr(sys.modules[module], name)
+    parts = [assembled(part, leaves) for part in result["parts"]]
+    return kind(parts) if kind is tuple else kind(*parts)
+
+
+def _traced(
+    function: Callable[..., Any], leaves: list[Any], tree: Any, static: dict[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Header and arrays of a program's file."""
+    results = []
+
+    def flat(*inner: Any) -> list[Any]:
+        result = function(**jax.tree.unflatten(tree, inner), **static)
+        results.append(_described(result))
+        return jax.tree.leaves(result)
+
+    # An argument that is not used would be left out, and be missing from the types.
+    exported = export.export(jax.jit(flat, keep_unused=True))(*leaves)
+    found = [[list(aval.shape), aval.dtype.name] for aval in exported.out_avals]
+    module = np.frombuffer(exported.mlir_module_serialized, np.uint8)
+    return {"result": results[-1], "leaves": found}, {"module": module}
+
+
+def _described(tree: Any) -> Any:
+    """A result of arrays, None and tuples, named or not, as plain data; the opposite of `assembled`."""
+    if tree is None:
+        return None
+    if not isinstance(tree, tuple):
+        if not jax.tree_util.all_leaves([tree]):
+            raise TypeError(f"a {type(tree).__name__} is no tuple")
+        return "array"
+    kind = type(tree)
+    if getattr(sys.modules[kind.__module__], kind.__qualname__, None) is not kind:
+        raise TypeError(f"{kind.__qualname__} is not found by its name")
+    return {"kind": [kind.__module__, kind.__qualname__], "parts": [_described(part) for part in tree]}
+
+
+@lru_cache
+def _surroundings() -> list[str]:
+    """Versions and devices."""
+    devices = jax.local_devices()
+    machine = f"{jax.default_backend()} {devices[0].device_kind} {len(devices)}"
+    return [*map(version, TRACED_BY), sys.version, machine]
+
+
+@lru_cache
+def _source(package: str) -> str:
+    """Digest of every file of a package, or of a module that is a file."""
+    path = Path(str(sys.modules[package].__file__))
+    files = [file for file in path.parent.rglob("*") if file.suffix != ".pyc"] if path.stem == "__init__" else [path]
+    found = {file.relative_to(path.parent).as_posix(): file for file in files if file.is_file()}
+    return digest({name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in found.items()})

@@ -1,0 +1,141 @@
+"""What a tuning run found, proven on scenarios that it has not seen."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxmpc import margins
+from jaxmpc.metrics import Metrics
+from jaxmpc.stability import Margins
+from jaxmpc.synthesis.params import Params
+from tuning.job.goals import UNITS, standing
+from tuning.job.scenarios import scenarios
+from tuning.job.spec import TuneSpec
+from tuning.proof.heldout import versus
+from tuning.search.multifidelity import LevelHistory, Step
+from tuning.search.state import FEASIBLE, SearchState
+from tuning.search.worst_case import standing_of
+
+KINDS = {"as run": False, "ideal": True}
+"""Names of the two kinds of margins, and whether the damping is ideal."""
+LOST = 2.0
+"""A residual beyond this means that a controller did not hold the heart [N] (`definitions.md`)."""
+
+
+@dataclass(frozen=True)
+class TuneResult:
+    """Before and after, and the way there. Index 0 is the controller before, 1 the tuned one."""
+
+    spec: TuneSpec
+    params: Params
+    """The tuned controller; without a feasible point, the one that came closest."""
+    feasible: bool
+    """Whether it holds every hard goal at every stiffness at which margins are judged."""
+    heldout: Metrics
+    """On the held-out scenarios, each field (2, scenarios, stiffness, 3); NaN where a run was lost."""
+    margins: dict[str, Margins]
+    """"as run" and "ideal", each field (2, judged_at)."""
+    steps: list[Step]
+    """Every level and round."""
+    orders: dict[int, float]
+    """Score of each disturbance order on the first level [-]."""
+
+    @property
+    def state(self) -> SearchState:
+        """Histories of the last descent."""
+        return self.steps[-1].state
+
+    @property
+    def held(self) -> np.ndarray:
+        """Whether a controller held the heart, (2, scenarios): everything finite and no residual above 2 N."""
+        worst: np.ndarray = np.max(self.heldout.peak_error, axis=(2, 3))
+        return worst < LOST
+
+    @property
+    def worst(self) -> tuple[float, float]:
+        """Worst held-out residual RMS over scenario, stiffness and axis, before and after; NaN where unstable [N]."""
+        before, after = map(float, self.heldout.rms.max(axis=(1, 2, 3)))
+        return before, after
+
+    @property
+    def gain(self) -> float:
+        """How far the worst held-out residual fell, relative to before [-]; NaN where either is unstable."""
+        before, after = self.worst
+        return 1.0 - after / before
+
+    def lowered(self, metric: str) -> np.ndarray:
+        """How far a metric fell per stiffness and axis over the held-out scenarios, (stiffness, 3) [-].
+
+        An RMS is averaged as a root mean square, anything else as a mean. Scenarios that the first controller did not
+        hold are left out.
+        """
+        before, after = getattr(self.heldout, metric)[:, self.held[0]]
+        power = 2.0 if metric == "rms" else 1.0
+        ratio: np.ndarray = (np.mean(after**power, axis=0) / np.mean(before**power, axis=0)) ** (1.0 / power)
+        return 1.0 - ratio
+
+    def unmet(self) -> str:
+        """Which goal is missed, on which tissue and by how much, of the point that came closest; "" if all are met."""
+        judged: Any = Margins(*(field[1] for field in self.margins["ideal" if self.spec.ideal else "as run"]))
+        stiffness = self.spec.judged_at
+        unstable = np.asarray(judged.spectral_radius) >= 1.0
+        if unstable.any():
+            K_s, radius = stiffness[int(np.argmax(judged.spectral_radius))], float(np.max(judged.spectral_radius))
+            return f"no stable point was found: at {K_s:g} N/m the closest one has spectral radius {radius:.4f}"
+        limits = self.spec.margin_goals
+        normalised = np.asarray(standing(judged, limits).normalised)
+        worst = {name: float(row.max()) for name, row in zip(limits, normalised, strict=True)}
+        step = self.steps[-1]
+        last = int(np.flatnonzero((step.state.path[:, step.state.leader] == step.state.leader_z).all(axis=1))[0])
+        runs = step.state.hard[last, step.state.leader, len(limits) :]
+        worst |= dict(zip(step.problem.hard_goals, map(float, runs), strict=True))
+        name = max(worst, key=lambda goal: worst[goal], default="")
+        if not name or worst[name] <= FEASIBLE:
+            return ""
+        unit = f" {UNITS[name]}" if UNITS[name] else ""
+        ceiling = name == "M_s" or name not in limits
+        limit = self.spec.goals[name]
+        found = limit * worst[name] if ceiling else limit / worst[name]
+        where = ""
+        if name in limits:
+            tissue = stiffness[int(np.argmax(normalised[list(limits).index(name)]))]
+            where = f" at {tissue:.4g} N/m"
+        else:
+            K_s = self.spec.experiment.stiffness[int(step.state.tissue[last, step.state.leader])]
+            where = f" in training, worst on {K_s:g} N/m"
+        return (
+            f"no point meets every goal: {name} {'≤' if ceiling else '≥'} {limit:g}{unit} is missed by "
+            f"{abs(found - limit):.3g}{unit}{where} by the point that came closest"
+        )
+
+
+def judge(way: LevelHistory, show: bool = False) -> TuneResult:
+    """Choose among the starts on the validation scenarios, then compare with the controller before on held-out ones."""
+    spec, state = way.spec, way.steps[-1].state
+    chosen = state.leader_z
+    if state.feasible and spec.tune.validation_seeds:
+        chosen = _validated(spec, state, show)
+    params = spec.space.exact(chosen)
+    met = scenarios(spec.experiment, spec.scenarios, spec.tune.heldout_seeds)
+    before, (after,) = versus(spec, [params], met, show)
+    runs: Metrics = jax.tree.map(lambda *fields: np.stack(fields), before, after)
+    found: dict[str, Margins] = {}
+    for name, ideal in KINDS.items():
+        both = [
+            margins(p, spec.judged_at, spec.experiment.delay, ideal, timing=spec.experiment.timing)
+            for p in (spec.before, params)
+        ]
+        found[name] = jax.tree.map(lambda *fields: np.stack(fields), *both)
+    return TuneResult(spec, params, state.feasible, runs, found, way.steps, way.orders)
+
+
+def _validated(spec: TuneSpec, state: SearchState, show: bool) -> np.ndarray:
+    """The best of the starts' vectors on scenarios that none has seen."""
+    met = scenarios(spec.experiment, spec.scenarios, spec.tune.validation_seeds)
+    candidates = state.best_z[np.isfinite(state.best)]
+    before, each = versus(spec, [*map(spec.space.exact, candidates)], met, show)
+    values = [standing_of(spec, one, before) for one in each]
+    best: np.ndarray = candidates[int(np.argmin(np.max(values, axis=1)))]
+    return best

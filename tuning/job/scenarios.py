@@ -1,0 +1,149 @@
+"""What a controller may meet: one seed draws rhythm, phases, friction, masses, delay and noise of one scenario."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+
+from jaxmpc.engine.scene import ScenarioData, scenario_data, side_by_side
+from jaxmpc.experiment import Experiment
+from jaxmpc.experiment.tables import Change
+from jaxmpc.files.errors import InputError
+from jaxmpc.world.heart.motion import Motion
+
+RHYTHMS = (
+    "own",
+    "steady",
+    "variability",
+    "rate-step",
+    "premature",
+    "bigeminy",
+    "fibrillation",
+    "hold",
+    "cough",
+)
+"""The experiment's own motion, the rhythms of `world.rhythm`, and two events of the ventilation."""
+STREAM = 7
+"""Of the random numbers of a scenario, apart from those of its motion and noise."""
+EVENT_AFTER = 0.2
+"""Where in the scored part a rate step, hold or cough begins if it would come too late otherwise [-]."""
+
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=0.9)]
+Rhythm = Literal["own", "steady", "variability", "rate-step", "premature", "bigeminy", "fibrillation", "hold", "cough"]
+
+
+class Scenarios(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The table [scenarios]: how far reality may lie from the experiment."""
+
+    rhythms: tuple[Rhythm, ...] = ("own",)
+    """Taken in turn, seed by seed."""
+    friction: Share = 0.0
+    """Half-width of a factor on each joint's Coulomb and viscous friction [-]; on the arm alone."""
+    mass: Share = 0.0
+    """Half-width of a factor on the true masses over the believed ones [-]; on the arm alone."""
+    stiffness: Share = 0.0
+    """Half-width of a factor on the tissue's stiffness [-]; on the arm alone."""
+    delays: tuple[Annotated[int, msgspec.Meta(ge=1, le=2)], ...] = ()
+    """Delays to choose from [samples]; none is the experiment's own. Margins are judged at the experiment's."""
+    cable_hz: tuple[Annotated[float, msgspec.Meta(gt=0.0, le=100.0)], ...] = ()
+    """Lowest and highest cable mode [Hz]; none is the experiment's own. On the arm alone."""
+
+    def check(self, experiment: Experiment) -> None:
+        """Refuse what an experiment cannot show.
+
+        Raises:
+            InputError: Names key, value, bound and remedy.
+        """
+        if not self.rhythms:
+            raise InputError("scenarios.rhythms", "[]", "at least one rhythm", 'Give ["own"] for the experiment\'s.')
+        if len(self.cable_hz) not in (0, 2) or list(self.cable_hz) != sorted(self.cable_hz):
+            raise InputError("scenarios.cable_hz", list(self.cable_hz), "[lowest, highest] Hz", "Give both, in order.")
+        if experiment.physics == "linear":
+            for key in ("friction", "mass", "stiffness", "delays", "cable_hz"):
+                if value := getattr(self, key):
+                    remedy = f'Set experiment.physics = "wam" or remove scenarios.{key}.'
+                    raise InputError(f"scenarios.{key}", value, "given on the arm only", remedy)
+
+
+def scenario(base: Experiment, settings: Scenarios, seed: int) -> Experiment:
+    """The experiment that a seed stands for; the same seed is the same scenario whatever else is drawn.
+
+    A joint's friction is multiplied as a whole, Coulomb and viscous. The arm itself is always the one of the MJCF:
+    heavier than believed means that the controller believes less, (1 + mass_error)/factor. What it compensates of
+    friction stays what it believes of the nominal arm.
+    """
+    random = np.random.Generator(np.random.Philox([seed, STREAM]))
+    # Everything is drawn whether it is used or not, so that one half-width does not change what another draws.
+    joints, mass, stiffness, delay, cable = np.split(random.uniform(-1.0, 1.0, 8), [4, 5, 6, 7])
+    drawn = base.with_seed(seed)
+    rhythm = settings.rhythms[seed % len(settings.rhythms)]
+    drawn = msgspec.structs.replace(drawn, motion=_motion(drawn, rhythm, seed))
+    if base.physics == "linear":
+        return drawn
+    arm = base.arm
+    friction = 1.0 + settings.friction * joints
+    changes: dict[str, Any] = {
+        "coulomb": tuple((friction * arm.coulomb).tolist()),
+        "viscous": tuple((friction * arm.viscous).tolist()),
+        "mass_error": (1.0 + arm.mass_error) / (1.0 + settings.mass * float(mass[0])) - 1.0,
+        "nominal_coulomb": arm.nominal_coulomb or arm.coulomb,
+        "nominal_viscous": arm.nominal_viscous or arm.viscous,
+    }
+    if settings.cable_hz:
+        low, high = np.log(settings.cable_hz)
+        changes["cable_hz"] = float(np.exp(low + (high - low) * 0.5 * (1.0 + cable[0])))
+    tissue = base.tissue
+    if settings.stiffness:
+        softer = Change(0.0, 1.0 + settings.stiffness * float(stiffness[0]), 0.0)
+        tissue = msgspec.structs.replace(tissue, changes=(softer, *tissue.changes))
+    chosen = settings.delays or (base.delay,)
+    late = chosen[int(0.5 * (1.0 + float(delay[0])) * len(chosen)) % len(chosen)]
+    return msgspec.structs.replace(drawn, arm=msgspec.structs.replace(arm, **changes), tissue=tissue, delay=late)
+
+
+def scenarios(base: Experiment, settings: Scenarios, seeds: Sequence[int]) -> list[Experiment]:
+    """One experiment per seed."""
+    return [scenario(base, settings, seed) for seed in seeds]
+
+
+def scene_over(experiments: Sequence[Experiment]) -> ScenarioData:
+    """Several scenarios of one experiment as one scene, each with axes of its own."""
+    return side_by_side([scenario_data(experiment) for experiment in experiments])
+
+
+def describe(experiment: Experiment) -> str:
+    """What sets a scenario apart, in a few words."""
+    motion, arm = experiment.motion, experiment.arm
+    events = {"steady": motion.rhythm, "hold": "ventilator hold", "cough": "cough"}
+    name = events[motion.ventilation] if motion.kind == "rhythm" else motion.kind
+    words = [f"{name}, seed {motion.seed}"]
+    if experiment.physics != "linear":
+        nominal = arm.nominal_coulomb or arm.coulomb
+        factors = ", ".join(f"{f:.2f}" for f in np.divide(arm.coulomb, nominal))
+        words += [f"friction × {factors}", f"masses believed {100 * arm.mass_error:+.0f} %"]
+        words += [f"delay {experiment.delay}"] if experiment.delay > 1 else []
+        words += [f"cable {arm.cable_hz:.0f} Hz"] if arm.cable_hz else []
+    return "; ".join(words)
+
+
+def _motion(drawn: Experiment, rhythm: str, seed: int) -> Motion:
+    if rhythm == "own":
+        return drawn.motion
+    own = drawn.motion
+    event = drawn.settle + EVENT_AFTER * (drawn.duration - drawn.settle)
+    beats = rhythm if rhythm not in ("hold", "cough") else "steady"
+    defaults = Motion()
+    return Motion(
+        kind="rhythm",
+        scale=own.scale,
+        phases="random",
+        seed=seed,
+        start=own.start,
+        fade=own.fade,
+        rhythm=beats,  # type: ignore[arg-type]  # one of Rhythm, without "own", "hold" and "cough"
+        ventilation=rhythm if rhythm in ("hold", "cough") else "steady",  # type: ignore[arg-type]  # both exist
+        rate_step_at=min(defaults.rate_step_at, event),
+        ventilation_at=min(defaults.ventilation_at, event),
+        hold_duration=max(1.0, min(defaults.hold_duration, 0.5 * (drawn.duration - event))),
+    )

@@ -1,0 +1,94 @@
+"""The table [tune] of a job, and its checks."""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from jaxmpc.files.errors import InputError
+from jaxmpc.world.heart.motion import Seed
+
+Count = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
+Level = Literal["frequency", "linear", "arm"]
+LEVELS: tuple[Level, ...] = ("frequency", "linear", "arm")
+"""From the coarsest and cheapest to the one that decides."""
+
+
+class TuneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The table [tune]."""
+
+    levels: tuple[Level, ...] = ()
+    """What proposes and what decides, in this order; the last must be the experiment's physics. None given: "linear"
+    for the linear world, all three for the arm."""
+    steps: Count = 150
+    """Gradient steps on the first level at most, half of them with soft horizons; later levels, which begin at good
+    points, take a tenth of them each."""
+    orders: tuple[Annotated[int, msgspec.Meta(ge=1, le=3)], ...] = ()
+    """Disturbance orders of the active observer to compare on the first level, the best of which goes on; none given:
+    that of the parameters."""
+    starts: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 8
+    """On the last level: the given parameters, and the best of many random ones or of the level before."""
+    seed: Seed = 0
+    """Draws the random starts."""
+    train_seeds: tuple[Seed, ...] = (0, 1)
+    """Scenarios that the tuner sees; each seed draws one."""
+    validation_seeds: tuple[Seed, ...] = ()
+    """Scenarios that choose among the starts at the end; none: those of training."""
+    heldout_seeds: tuple[Seed, ...] = tuple(range(1000, 1020))
+    """Scenarios that only the final comparison sees."""
+    duration: Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)] = 6.0
+    """Length of a training run [s]; validation and held-out runs have the experiment's own."""
+    settle: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 1.5
+    """What is left out of its residual at the start [s]."""
+    margin_points: Annotated[int, msgspec.Meta(ge=0, le=1000)] = 33
+    """Stiffnesses, evenly spaced in their logarithm from the experiment's softest to its hardest, at which margins are
+    judged besides the experiment's own."""
+    mapping: Annotated[int, msgspec.Meta(ge=0, le=1000)] = 24
+    """Rounds of space mapping on the last level, where spectra come first: what the runs measure corrects the spectra,
+    which propose what to run next; at most."""
+    rounds: Annotated[int, msgspec.Meta(ge=0, le=20)] = 0
+    """How often the worst of `searched` scenarios is sought, added to training and tuned for, at most."""
+    searched: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 64
+    """Scenarios among which it is sought."""
+    learning_rate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.4
+    """Of Adam, in units of the parameters' scales."""
+    precision: Literal["float64", "float32"] = "float64"
+    """Of the time stepping. Float64 is also the faster one on a CPU: adjoints of float32 end in subnormals."""
+    diagonals: tuple[Literal["lam", "delta"], ...] = ()
+    """Free parameters of which each diagonal entry is tuned by itself."""
+
+    def ladder(self, physics: str) -> tuple[Level, ...]:
+        """The levels of a job."""
+        return self.levels or (("linear",) if physics == "linear" else LEVELS)
+
+    def check(self, physics: str) -> None:
+        """Refuse what contradicts itself.
+
+        Raises:
+            InputError: Names key, value, bound and remedy.
+        """
+        lists = {key: getattr(self, key) for key in ("train_seeds", "validation_seeds", "heldout_seeds")}
+        for key, seeds in lists.items():
+            if not seeds and key != "validation_seeds":
+                raise InputError(
+                    f"tune.{key}", "[]", "at least one scenario's seed", "Give some, such as [1000, 1001]."
+                )
+            if len(set(seeds)) < len(seeds):
+                raise InputError(f"tune.{key}", list(seeds), "without repetition", "Name each seed once.")
+        for later, earlier in (
+            ("validation_seeds", "train_seeds"),
+            ("heldout_seeds", "train_seeds"),
+            ("heldout_seeds", "validation_seeds"),
+        ):
+            if common := sorted(set(lists[later]) & set(lists[earlier])):
+                remedy = "A seed that the tuner has seen proves nothing; remove it from one list."
+                raise InputError(f"tune.{later}", common[0], f"unknown to {earlier}", remedy)
+        if self.settle >= self.duration:
+            remedy = "Lower settle or raise duration."
+            raise InputError("tune.settle", self.settle, f"below duration (= {self.duration:g} s)", remedy)
+        if len(set(self.orders)) < len(self.orders):
+            raise InputError("tune.orders", list(self.orders), "without repetition", "Name each order once.")
+        ladder = self.ladder(physics)
+        last = "linear" if physics == "linear" else "arm"
+        if ladder[-1] != last or list(ladder) != sorted(set(ladder), key=LEVELS.index):
+            remedy = f'With experiment.physics = "{physics}" end with "{last}".'
+            raise InputError("tune.levels", list(ladder), f"in the order {list(LEVELS)}", remedy)

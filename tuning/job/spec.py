@@ -1,0 +1,255 @@
+"""What to tune, as a TOML file: experiment, starting point, free parameters, goals."""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from jaxmpc.experiment import Experiment
+from jaxmpc.experiment.job import experiment_table, params_table
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.sealed import digest
+from jaxmpc.files.toml import convert, known_keys, located, read_toml
+from jaxmpc.synthesis.params import BOUNDS, DIAGONALS, Params
+from tuning.job.goals import MARGINS, MEASURED, UNITS
+from tuning.job.risk import Risk
+from tuning.job.scenarios import Scenarios
+from tuning.job.settings import Level, TuneSettings
+from tuning.objective.transforms import FREE, HORIZONS, SearchSpace, axis_of
+
+Bounds = tuple[float, float]
+SOFT = {"rms": 0.05}
+"""What is minimised unless the job says otherwise [N]."""
+
+
+class TuneSpec(msgspec.Struct, frozen=True, dict=True):
+    """A tuning job; `from_toml`, or built in Python.
+
+    Raises:
+        InputError: Names key, value, bound and remedy.
+    """
+
+    experiment: Experiment
+    params: Params
+    """Where the first start stands, and the values of what is frozen."""
+    baseline: Params | None = None
+    """What the result is compared with, and what ratios are taken to; None is `params`."""
+    baseline_compensation: float | None = None
+    """Share of the joints' friction that this one compensates [-]; None is the experiment's, as for the tuned one."""
+    tune: TuneSettings = TuneSettings()
+    free: Mapping[str, Bounds | None] = msgspec.field(default_factory=lambda: dict.fromkeys(FREE))
+    """Free parameters and their bounds; None takes the default ones."""
+    goals: Mapping[str, float] = msgspec.field(default_factory=lambda: {"M_s": 2.0})
+    """Hard goals: limits that are held, of margins at every stiffness between the softest and the hardest."""
+    soft: Mapping[str, float] = msgspec.field(default_factory=lambda: dict(SOFT))
+    """Soft goals: what is minimised, each relative to its limit."""
+    ideal: bool = False
+    """Whether margins are those of the ideal loop, or of the loop as it runs."""
+    scenarios: Scenarios = Scenarios()
+    risk: Risk = Risk()
+    pareto: Mapping[str, tuple[float, ...]] = msgspec.field(default_factory=dict)
+    """Limits of hard goals for which the front is wanted; empty for no front."""
+
+    def __post_init__(self) -> None:
+        self.tune.check(self.experiment.physics)
+        self.scenarios.check(self.experiment)
+        _check_goals(self.goals, "goals", UNITS)
+        _check_goals(self.soft, "goals.soft", MEASURED)
+        for name, limits in self.pareto.items():
+            if not isinstance(limits, list | tuple) or not limits:
+                raise InputError(f"pareto.{name}", limits, "a list of limits", "Write such as [1.6, 2.0, 3.0].")
+            for limit in limits:
+                _check_goals({name: limit}, "pareto", UNITS)
+        if self.params.batch_shape:
+            raise InputError("params", f"a batch {self.params.batch_shape}", "one controller", "Give one start point.")
+        if not self.free:
+            raise InputError("tune.free", "empty", "at least one parameter", f"Free by default: {', '.join(FREE)}.")
+        for name, bounds in self.free.items():
+            _check_bounds(name, bounds, self.params)
+        for name in self.tune.diagonals:
+            if name not in self.free:
+                raise InputError("tune.diagonals", name, "a free parameter", f"Add `{name} = true` to [tune.free].")
+        for name in DIAGONALS:
+            if name in self.free and name not in self.tune.diagonals and getattr(self.params, name).ndim:
+                remedy = f'Add "{name}" to tune.diagonals, or start from one number.'
+                raise InputError(f"params.{name}", "a diagonal", "one number to be tuned as one", remedy)
+
+    @property
+    def before(self) -> Params:
+        """The controller before tuning."""
+        return self.baseline or self.params
+
+    def met_before(self, met: Sequence[Experiment]) -> list[Experiment]:
+        """Scenarios as the controller before tuning meets them."""
+        share = self.baseline_compensation
+        if share is None or self.experiment.physics == "linear":
+            return list(met)
+        return [replace(one, arm=replace(one.arm, compensation=share)) for one in met]
+
+    def with_order(self, order: int) -> "TuneSpec":
+        """The same job with an active state of another order; Q_p then starts and moves where that order has it."""
+        if order == self.params.disturbance_order:
+            return self
+        axis = axis_of("Q_p", None, False, order)
+        values = {**self.params.to_dict(), "disturbance_order": order, "Q_p": float(np.sqrt(axis.low * axis.high))}
+        free = {name: None if name == "Q_p" else bounds for name, bounds in self.free.items()}
+        return replace(self, params=Params.from_dict(values), baseline=self.before, free=free)
+
+    @cached_property
+    def space(self) -> SearchSpace:
+        """The free parameters as one vector."""
+        order = self.params.disturbance_order
+        axes = [axis_of(name, bounds, name in self.tune.diagonals, order) for name, bounds in self.free.items()]
+        return SearchSpace(self.params, axes)
+
+    @property
+    def ladder(self) -> tuple[Level, ...]:
+        """The levels, the last of which decides."""
+        return self.tune.ladder(self.experiment.physics)
+
+    @cached_property
+    def judged_at(self) -> np.ndarray:
+        """Stiffnesses at which margins are judged [N/m]: the experiment's, and many between."""
+        own = np.asarray(self.experiment.stiffness)
+        between = np.geomspace(own.min(), own.max(), self.tune.margin_points) if len(own) > 1 else own[:0]
+        return np.unique(np.concatenate([own, between]))
+
+    @property
+    def margin_goals(self) -> dict[str, float]:
+        """Hard goals on margins, sorted as JAX sorts the keys of what it traces."""
+        return {name: self.goals[name] for name in sorted(self.goals) if name in MARGINS}
+
+    @property
+    def hard_goals(self) -> dict[str, float]:
+        """Hard goals on what the runs measure, sorted likewise."""
+        return {name: self.goals[name] for name in sorted(self.goals) if name in MEASURED}
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the whole job, all defaults written out."""
+        return digest(self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, every default written out."""
+        free = {axis.name: [axis.low, axis.high] for axis in self.space.axes}
+        return {
+            "experiment": self.experiment.to_dict(),
+            "params": self.params.to_dict(),
+            "baseline": {**self.before.to_dict(), "compensation": self.baseline_compensation},
+            "tune": {**msgspec.to_builtins(self.tune), "free": free},
+            "goals": {**self.goals, "ideal": self.ideal, "soft": dict(self.soft)},
+            "scenarios": msgspec.to_builtins(self.scenarios),
+            "risk": msgspec.to_builtins(self.risk),
+            "pareto": {name: list(limits) for name, limits in self.pareto.items()},
+        }
+
+    @staticmethod
+    def from_toml(path: str | Path) -> "TuneSpec":
+        """A job from its file; files that it names are looked for beside it.
+
+        Raises:
+            InputError: Names file, line, key, value, bound and remedy.
+        """
+        data = read_toml(path)
+        with located(path):
+            return TuneSpec.from_dict(data, Path(path).parent)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any], folder: Path = Path()) -> "TuneSpec":
+        """A job from plain data, as the TOML file has it.
+
+        Args:
+            data: Tables experiment, params, baseline, tune, goals, scenarios, risk, pareto; each may be left out.
+            folder: Where files that it names lie.
+
+        Raises:
+            InputError: Names key, value, bound and remedy.
+        """
+        tables = ("experiment", "params", "baseline", "tune", "goals", "scenarios", "risk", "pareto")
+        for name, table in data.items():
+            if name not in tables:
+                raise InputError(name, table, "a known table", nearest(name, list(tables)))
+            if not isinstance(table, dict):
+                raise InputError(name, table, "a table", f"Put its keys under [{name}].")
+        tune, goals = dict(data.get("tune", {})), dict(data.get("goals", {}))
+        free = _free(tune.pop("free", dict.fromkeys(FREE, True)))
+        for kind, table, name in (
+            (TuneSettings, tune, "tune"),
+            (Scenarios, data.get("scenarios", {}), "scenarios"),
+            (Risk, data.get("risk", {}), "risk"),
+        ):
+            known_keys(kind, table, name)
+        ideal = goals.pop("ideal", False)
+        if not isinstance(ideal, bool):
+            raise InputError("goals.ideal", ideal, "true or false", "True judges the paper's ideal damping.")
+        baseline = dict(data.get("baseline", {}))
+        share = baseline.pop("compensation", None)
+        if share is not None and not (isinstance(share, int | float) and 0.0 <= share <= 2.0):
+            raise InputError("baseline.compensation", share, "in [0, 2]", "0 compensates no friction.")
+        soft = goals.pop("soft", SOFT)
+        if not isinstance(soft, dict) or not soft:
+            raise InputError("goals.soft", soft, "a table with a goal", "Write `[goals.soft]` and `rms = 0.05`.")
+        return TuneSpec(
+            experiment=experiment_table(data.get("experiment", {}), folder),
+            params=params_table(data.get("params", {}), folder),
+            baseline=params_table(baseline, folder, "baseline") if "baseline" in data else None,
+            baseline_compensation=share,
+            tune=convert(tune, TuneSettings, "tune"),
+            free=free,
+            goals=goals or {"M_s": 2.0},
+            soft=soft,
+            ideal=ideal,
+            scenarios=convert(data.get("scenarios", {}), Scenarios, "scenarios"),
+            risk=convert(data.get("risk", {}), Risk, "risk"),
+            pareto=data.get("pareto", {}),
+        )
+
+
+def _free(table: Any) -> dict[str, Bounds | None]:
+    if not isinstance(table, dict):
+        raise InputError("tune.free", table, "a table", "Write `[tune.free]` and one line per parameter.")
+    free: dict[str, Bounds | None] = {}
+    for name, value in table.items():
+        numbers = isinstance(value, list) and all(type(x) in (int, float) for x in value)
+        if not (value is True or (numbers and len(value) == 2)):
+            remedy = "Leave a frozen parameter out; `true` takes the default bounds."
+            raise InputError(f"tune.free.{name}", value, "[lowest, highest] or true", remedy)
+        free[name] = None if value is True else (value[0], value[1])
+    return free
+
+
+def _check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, str]) -> None:
+    for name, limit in goals.items():
+        if name in MARGINS and name not in known:
+            raise InputError(f"{table}.{name}", limit, "a goal of the runs", "Margins are held: put it under [goals].")
+        if name not in known:
+            remedy = nearest(name, [*known, "ideal", "soft"] if table == "goals" else list(known))
+            raise InputError(f"{table}.{name}", limit, "a known goal", remedy)
+        low = 1.0 if name == "M_s" else 0.0
+        number = isinstance(limit, int | float) and not isinstance(limit, bool)
+        if not (number and low < limit < math.inf):
+            bound = f"a number above {low:g} {UNITS[name]}".strip()
+            raise InputError(f"{table}.{name}", limit, bound, "Give a limit.")
+
+
+def _check_bounds(name: str, bounds: Bounds | None, params: Params) -> None:
+    if name not in BOUNDS:
+        raise InputError(f"tune.free.{name}", bounds or "true", "a known parameter", nearest(name, list(BOUNDS)))
+    low, high, unit = BOUNDS[name]
+    axis = axis_of(name, bounds, False, params.disturbance_order)
+    for value in (axis.low, axis.high):
+        if not (math.isfinite(value) and low <= value <= high):
+            raise InputError(f"tune.free.{name}", value, f"in [{low:g}, {high:g}] {unit}", "Move this bound inside.")
+    if axis.low >= axis.high:
+        raise InputError(f"tune.free.{name}", list(bounds or ()), "[lowest, highest]", "Exchange or part the bounds.")
+    if name in HORIZONS and (axis.low % 1 or axis.high % 1):
+        raise InputError(f"tune.free.{name}", list(bounds or ()), "whole numbers of samples", "Round them.")
+    start = getattr(params, name)
+    if (start < axis.low).any() or (start > axis.high).any():
+        remedy = f"The start {start:g} lies outside: move it, or widen the bounds."
+        raise InputError(f"tune.free.{name}", [axis.low, axis.high], "around the start point", remedy)

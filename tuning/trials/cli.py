@@ -1,0 +1,171 @@
+"""`jaxmpc trials`: random robots, tissues, delays and rhythms for a finished controller, and how often it fails."""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxmpc.files.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxmpc.synthesis.params import Params
+    from tuning.trials import Job, Outcomes
+
+TISSUES = 33
+"""Stiffnesses, log-spaced, at which the linear margins are judged."""
+LISTED = 5
+"""Worst trials told of each controller."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument("params", help="a params.toml, or a published set: text, printed, mpc-alone, cautious")
+    parser.add_argument("--against", metavar="PARAMS", help="another controller in the same trials, `text` for example")
+    parser.add_argument("--trials", type=int, default=10_000, help="how many (10000)")
+    parser.add_argument("--hard", action="store_true", help="also delays of two samples and cable modes, softer tissue")
+    parser.add_argument("--seed", type=int, default=0, help="draws other trials (0)")
+    parser.add_argument("--experiment", default="table-1-wam", help="what they are drawn around (table-1-wam)")
+    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of table, figure and finished blocks")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the trials, print what came of them; 1 if the controller (not the one against it) failed in any.
+
+    Raises:
+        InputError: A controller, the experiment, a number or the folder is wrong; nothing has been written by then.
+    """
+    from jaxmpc.terminal.arguments import experiment_from, params_from
+    from jaxmpc.terminal.process import use_all_cores
+
+    use_all_cores()
+    from tuning.trials import HARD, NOMINAL, Job
+    from tuning.trials import run as run_trials
+
+    given = [args.params, *([args.against] if args.against else [])]
+    controllers = tuple(map(params_from, given))
+    names = [Path(name).stem for name in given]
+    names = given if len(set(names)) < len(names) else names
+    job = Job(controllers, experiment_from(args.experiment), HARD if args.hard else NOMINAL, args.seed)
+    if args.out and args.out.exists() and not args.out.is_dir():
+        raise InputError("-o", args.out, "a folder", "Name a new one.")
+    print(f"{args.trials} {'hard' if args.hard else 'nominal'} trials around {job.base.name}, seed {args.seed}")
+    print(_drawn_from(job), flush=True)
+    began = time.monotonic()
+    try:
+        found = run_trials(job, args.trials, args.out / "blocks" if args.out else None, not args.quiet)
+        print(f"{args.trials} trials × {len(names)} controllers after {time.monotonic() - began:.0f} s")
+        _tables(job, names, found)
+        if args.out:
+            _files(args.out, job, names, found)
+    except OSError as error:
+        where = f" ({error.filename})" if error.filename else ""
+        print(f"jaxmpc trials: cannot write: {error.strerror}{where}. Finished blocks are kept.", file=sys.stderr)
+        return 1
+    failed = int(found.unstable[:, 0].sum())
+    if failed:
+        print(f"jaxmpc trials: {names[0]} was unstable in {failed} of {args.trials} trials", file=sys.stderr)
+    return int(failed > 0)
+
+
+def _drawn_from(job: "Job") -> str:
+    spread, drawn = job.spread, job.spread.scenarios
+    words = [
+        f"K_s {spread.stiffness[0]:g}–{spread.stiffness[1]:g} N/m",
+        f"friction of each joint ±{100 * drawn.friction:g} %",
+        f"masses ±{100 * drawn.mass:g} %",
+        f"delay {' or '.join(map(str, drawn.delays))}",
+    ]
+    if drawn.cable_hz and spread.cable_damping:
+        words.append(f"cable mode {drawn.cable_hz[0]:g}–{drawn.cable_hz[1]:g} Hz")
+        words[-1] += f", ζ {spread.cable_damping[0]:g}–{spread.cable_damping[1]:g}"
+    return "  " + "; ".join([*words, f"rhythms {', '.join(drawn.rhythms)}"])
+
+
+def _tables(job: "Job", names: list[str], found: "Outcomes") -> None:
+    import numpy as np
+
+    from jaxmpc.status import Status
+    from jaxmpc.terminal.tables import number, show
+    from tuning.trials import motion_of
+    from tuning.trials.report import draws, pairs, ranked, wilson
+
+    count, unstable = len(found.status), found.unstable
+    motions = np.array([motion_of(i) for i in range(count)])
+    rows, reasons = [], []
+    for c, name in enumerate(names):
+        hits = int(unstable[:, c].sum())
+        low, high = (f"{100 * share:.3f}" for share in wilson(hits, count))
+        hearts = f"{len(set(motions[unstable[:, c]]))} of {len(set(motions))}"
+        peak = np.nan_to_num(found.peak_error[:, c].max(axis=-1), nan=np.inf)
+        # Of the sorted values, not between them: some may be infinite.
+        figures = [np.nanmedian(found.rms[:, c].max(axis=-1)), *np.quantile(peak, (0.99, 1.0), method="lower")]
+        shares = [f"{100 * hits / count:.2f}", f"{low}–{high}"]
+        rows.append([name, str(hits), *shares, hearts, *(number(value, 3) for value in figures)])
+        counts = [(kind.name, int(np.sum(found.status[:, c] == kind))) for kind in Status if kind != Status.OK]
+        counts.append(("|e| ≥ 2 N alone", int(np.sum(unstable[:, c] & (found.status[:, c] == Status.OK)))))
+        if hits:
+            reasons.append(f"{name}: {', '.join(f'{reason} {cases}' for reason, cases in counts if cases)}")
+    header = ("controller", "unstable", "%", "95 % interval %", "on motions", "RMS N, median", "|e| N, 99 %", "largest")
+    show("unstable trials", header, rows)
+    print("\n".join(reasons))
+    if len(names) == 2:
+        both, first, second, neither = pairs(unstable)
+        print(f"in the same trial: both {both}, only {names[0]} {first}, only {names[1]} {second}, neither {neither}")
+        kept = ~unstable.any(axis=1)
+        worst = found.rms[kept].max(axis=-1)
+        if len(worst):
+            low, middle, high = 100.0 * np.quantile(1.0 - worst[:, 0] / worst[:, 1], (0.05, 0.5, 0.95))
+            lower = f"lower than with {names[1]}: median {middle:.0f} %, 90 % of them {low:.0f} to {high:.0f} %"
+            print(f"RMS of the worst axis, in the {kept.sum()} trials where neither is, {lower}")
+    for c, name in enumerate(names):
+        print(f"\nworst trials of {name}")
+        for i in ranked(found, c, LISTED):
+            largest, status = found.peak_error[i, c].max(), Status(int(found.status[i, c]))
+            print(f"  {i:>6}  {status.name:<9} |e| {number(largest, 2)} N  {draws(job.trial(i))}")
+    print()
+    margins = [row for name, params in zip(names, job.controllers, strict=True) for row in _margins(name, params, job)]
+    show(
+        f"linear margins, the worst of {TISSUES} tissues",
+        ("controller", "delay", "M_s", "at N/m", "GM dB", "PM °", "DM ms", "M_s presliding", "at N/m"),
+        margins,
+    )
+
+
+def _margins(name: str, params: "Params", job: "Job") -> list[list[str]]:
+    """A row per delay: as the loop runs, and with the joints' friction as springs."""
+    import numpy as np
+
+    from jaxmpc import margins
+    from jaxmpc.stability.presliding import presliding_frequencies, presliding_peak
+    from jaxmpc.synthesis.params import Timing
+    from jaxmpc.terminal.tables import number
+
+    tissues = np.geomspace(*job.spread.stiffness, TISSUES)
+    timing, frequencies = Timing(job.base.sampling_time), presliding_frequencies(job.base)
+    rows = []
+    for delay in job.spread.scenarios.delays:
+        found = margins(params, tissues, delay, timing=timing)
+        sticking = np.asarray(presliding_peak(params, tissues, frequencies, delay, timing=timing))
+        M_s = np.asarray(found.M_s)
+        up, down, phase, late = (float(np.min(np.asarray(field))) for field in found[1:5])
+        gains = f"{number(up, 1)} / −{number(down, 1)}"
+        peaks = [(number(field.max(), 2), f"{tissues[int(np.argmax(field))]:.0f}") for field in (M_s, sticking)]
+        numbers = [*peaks[0], gains, number(phase, 0), number(1e3 * late, 1), *peaks[1]]
+        rows.append([name, str(delay), *(text if text != "nan" else "–" for text in numbers)])
+    return rows
+
+
+def _files(folder: Path, job: "Job", names: list[str], found: "Outcomes") -> None:
+    from tuning.trials.report import draws, ranked, trials_figure, write_csv, write_trial
+
+    written = [folder / "trials.csv", folder / "trials.png"]
+    write_csv(written[0], job, names, found)
+    trials_figure(written[1], names, found)
+    for which, c in (("worst", 0), ("worst-against", 1))[: len(names)]:
+        i = ranked(found, c, 1)[0]
+        written.append(folder / f"{which}.toml")
+        note = f"Trial {i}, seed {job.seed}, the worst of {names[c]}: {draws(job.trial(i))}"
+        write_trial(written[-1], job.trial(i), note)
+    print("written: " + ", ".join(map(str, written)))
