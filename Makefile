@@ -11,20 +11,23 @@ DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow lint types robot-test bench pins clean
+.PHONY: help demo test test-oracles test-slow lint types robot-test bench pins clean
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
 	@echo "Variables: PYTHON=python3.13 (to make the environment with), VENV=.venv (where it lies)"
 
 demo: $(SIM)  ## the whole story: sweep, tune, freeze, replay, with pictures
 	@$(VENV)/bin/jaxmpc demo
 
-test: $(DEV)  ## the tests, without the slow ones
+test: $(DEV)  ## the fast tests
 	@$(PYTEST)
 
-test-slow: $(DEV)  ## the slow tests
+test-oracles: $(DEV)  ## what proves physics, gradients and safety: minutes
+	@$(PYTEST) -m "oracle and not slow and not hardware"
+
+test-slow: $(DEV)  ## long statistics and whole jobs: half an hour
 	@$(PYTEST) -m "slow and not hardware"
 
 lint: $(DEV)  ## ruff: mistakes and format
@@ -39,7 +42,7 @@ robot-test: $(ROBOT)  ## the robot's tests, where only numpy, python-can and pyt
 	@if $(ROBOT_VENV)/bin/python -c "import jax" 2>/dev/null; then \
 		echo "$(ROBOT_VENV) holds jax: remove it and try again" >&2; exit 1; fi
 	@$(ROBOT_VENV)/bin/python -m pytest tests/deploy \
-		-o addopts="--import-mode=importlib --strict-markers" -m "not slow and not hardware"
+		-o addopts="--import-mode=importlib --strict-markers" -m "not slow and not oracle and not hardware"
 
 bench: $(DEV)  ## throughput of the linear loop and of the arm beside their peers
 	@$(VENV)/bin/python -m benchmarks.sweep_throughput

@@ -90,18 +90,18 @@ def check_parity(experiment: Experiment) -> None:
     [FINE, HARD, EULER],
     ids=["fine", "hard", "nominal"],
 )
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_five_seconds_are_those_of_the_mujoco_loop(experiment: Experiment) -> None:
     check_parity(experiment)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @pytest.mark.parametrize("sensor", [{}, NO_COUNTS], ids=["counts", "fine"])
 def test_five_seconds_on_stock_mjx_are_those_of_the_mujoco_loop(sensor: dict[str, Any]) -> None:
     check_parity(changed(EULER, physics="mjx", arm={"integrator": "leapfrog"}, sensor=sensor))
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_a_run_tells_the_gain_that_its_guard_leaves() -> None:
     """That of the guard alone over the force of the run, in numpy; far too stiff a tissue makes the loop swing."""
     experiment = changed(TABLE, duration=5.5, settle=5.0, stiffness=(810.0, 4000.0))
@@ -191,13 +191,13 @@ def test_the_cascade_beats_the_observer_alone_on_the_arm() -> None:
     assert (np.asarray(table_one().metrics.rms)[0] <= 0.75 * np.asarray(aob.metrics.rms)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_half_the_physics_step_tells_the_same() -> None:
     halved = np.asarray(evaluate(Params(), changed(TABLE, arm={"substeps": 2})).metrics.rms)
     np.testing.assert_allclose(halved, np.asarray(table_one().metrics.rms)[0], rtol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_lost_contact_is_told_and_found_again() -> None:
     """The tissue does not hold the tip: at −0.1 N wanted, less than the residual, it leaves; at −3 N it is back."""
     ramps = [

@@ -65,7 +65,7 @@ def central(scene: ScenarioData, step: float) -> np.ndarray:
     return (high - low) / (2.0 * step)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_gradient_through_the_arm_is_the_central_difference_in_both_modes() -> None:
     """Of every continuous parameter; δ and R only set scales. 1e-4 of the largest component."""
     scene = motions(SHORT)
@@ -77,7 +77,7 @@ def test_gradient_through_the_arm_is_the_central_difference_in_both_modes() -> N
     np.testing.assert_allclose(ahead, back, rtol=0, atol=1e-9 * largest)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_gradient_sees_through_counts_and_encoders() -> None:
     """A step of 1e-3 averages over the counts that a plain derivative is blind to, one of 1e-2 does it well.
 

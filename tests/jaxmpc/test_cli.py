@@ -102,7 +102,7 @@ def test_short_closed_loop_time_is_allowed(tmp_path: Path) -> None:
     assert float(Params.from_toml(params_file(tmp_path, "[params]\nT_cl = 0.0001")).T_cl) == 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_frozen_controller_is_the_simulated_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_toml(tmp_path / "p.toml", {"params": TUNED})
     output = tmp_path / "c.npz"

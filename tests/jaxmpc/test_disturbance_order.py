@@ -102,7 +102,7 @@ def test_order_one_costs_what_it_did() -> None:
     assert [operations(order) for order in (1, 2, 3)] == [33, 36, 39]
 
 
-@pytest.mark.parametrize("order", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order", [2, pytest.param(3, marks=pytest.mark.oracle)])
 def test_the_engine_runs_the_loop_that_scipy_runs(independent_loop: Any, order: int) -> None:
     params = params_of(order)
     gains, noise = design(params), 0.1 * np.random.default_rng(4).standard_normal((1000, 3))
@@ -115,7 +115,7 @@ def test_the_engine_runs_the_loop_that_scipy_runs(independent_loop: Any, order: 
     np.testing.assert_allclose(sample.force, expected[:, 0], atol=1e-9 * np.abs(expected).max())
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_slope_of_a_margin_of_order_two_is_the_central_difference() -> None:
     def peak(log_q: jax.Array) -> jax.Array:
         return margins(Params(**VALUES, Q_p=jnp.exp(log_q), disturbance_order=2), 810.0).M_s

@@ -21,13 +21,13 @@ replace = msgspec.structs.replace
 SHORT = replace(Experiment.published("table-1"), duration=4.0, settle=3.0)
 
 
-@pytest.mark.parametrize("damping", [pytest.param("ideal", marks=pytest.mark.slow), "sampled"])
+@pytest.mark.parametrize("damping", [pytest.param("ideal", marks=pytest.mark.oracle), "sampled"])
 @pytest.mark.parametrize(
     "params",
     [
         Params(),
-        pytest.param(Params(architecture="aob"), marks=pytest.mark.slow),
-        pytest.param(Params(architecture="mpc", Q_p=1e3, Hp=60, Hu=10), marks=pytest.mark.slow),
+        pytest.param(Params(architecture="aob"), marks=pytest.mark.oracle),
+        pytest.param(Params(architecture="mpc", Q_p=1e3, Hp=60, Hu=10), marks=pytest.mark.oracle),
     ],
 )
 def test_the_loop_is_scipys(independent_loop: Callable[..., Any], params: Params, damping: str) -> None:
@@ -155,7 +155,7 @@ def central(function: Callable[[jax.Array], jax.Array], step: float) -> np.ndarr
         ("ideal", "forward"),
     ],
 )
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_gradient_through_design_and_loop_is_the_central_difference(damping: str, mode: str) -> None:
     experiment = replace(
         SHORT,
@@ -171,7 +171,7 @@ def test_gradient_through_design_and_loop_is_the_central_difference(damping: str
     np.testing.assert_allclose(gradient, expected, atol=1e-6 * np.abs(expected).max())
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_gradient_sees_through_the_quantiser() -> None:
     """A plain derivative of the quantiser would cut the feedback; a step of 1e-3 averages over its counts.
 

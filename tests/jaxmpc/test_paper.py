@@ -39,7 +39,7 @@ def at(params: Params, stiffness: float, *, ideal: bool = True) -> Margins:
     return Margins(*(np.asarray(value)[TISSUES.tolist().index(stiffness)] for value in found))
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_printed_design_is_unstable_on_foam() -> None:
     found = at(Params.published("printed"), 1900.0)
     assert found.status == Status.UNSTABLE
@@ -80,19 +80,19 @@ def test_printed_design_is_nearly_unstable_at_1600() -> None:
     assert at(Params.published("printed"), 1600.0).M_s == pytest.approx(65.0, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_the_observer_alone_has_the_known_peaks() -> None:
     found = margins(Params(architecture="aob"), TISSUES, ideal=True)
     np.testing.assert_allclose(np.asarray(found.M_s)[[0, 1, 4]], [6.9, 2.0, 3.8], atol=0.06)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_as_it_runs_the_text_design_is_a_little_worse_on_foam() -> None:
     """Sampled, filtered damping and the sensor's low-pass: 4.5 instead of 4.29 (definitions)."""
     assert at(Params.published("text"), 1900.0, ideal=False).M_s == pytest.approx(4.52, abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_as_it_runs_strong_damping_costs_most() -> None:
     """A design with ideal M_s 2.00 has 2.8 to 3.0 as it runs at 1900 N/m."""
     strong = Params(K2=100.0, Khat_s=970.0, Q_p=10.0, T_cl=2e-4)

@@ -55,7 +55,7 @@ def joints_peak(params: Params, experiment: Experiment, K_s: float, delay: int) 
     return worst
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @pytest.mark.parametrize(("params", "K_s"), [(Params(), 1900.0), (Params(), 375.0), (TUNED, 1900.0)])
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_three_modes_stand_for_the_arm(params: Params, K_s: float, factor: float) -> None:
@@ -72,7 +72,7 @@ def test_springs_cost_the_text_design_margin() -> None:
     assert sticking > 1.05 * free
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_without_friction_it_is_the_margin_as_it_runs() -> None:
     free = presliding_frequencies(base(coulomb=(0.0, 0.0, 0.0, 0.0)))
     np.testing.assert_array_equal(free, 0.0)

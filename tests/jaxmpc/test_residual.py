@@ -149,7 +149,7 @@ def test_frequency_gives_the_residual_of_the_linear_loop(name: str, ideal: bool)
     np.testing.assert_allclose(found, expected, rtol=0.025)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_both_cheap_levels_foretell_the_arm() -> None:
     """Friction that answers to the tip is missing: reversals come out too sharp, most for a loop with M_s = 4.5."""
     experiment = Experiment.published("table-1-wam")
@@ -231,7 +231,7 @@ def test_a_perfect_arm_is_what_the_controller_asks() -> None:
     np.testing.assert_allclose(uncompensated_acceleration(perfect), 0.0, atol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     "settings",
     [

@@ -171,7 +171,7 @@ def test_a_cable_rings_at_its_frequency_against_a_locked_motor(joint, hertz, rat
     assert 1.0 / period / np.sqrt(1.0 - found**2) == pytest.approx(hertz, rel=0.005)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_a_stiffer_cable_comes_closer_to_the_rigid_arm():
     """Twice the frequency, a quarter of the stretch; in steps of 0.25 ms, fine enough for 80 Hz."""
 

@@ -70,7 +70,7 @@ def test_spectral_radius_is_that_of_the_independent_loop(
 @pytest.mark.parametrize("cut", [0.0, 1.0])
 @pytest.mark.parametrize(
     ("params", "K_s", "delay", "ideal"),
-    [*CASES[:4], *(pytest.param(*case, marks=pytest.mark.slow) for case in CASES[4:])],
+    [*CASES[:4], *(pytest.param(*case, marks=pytest.mark.oracle) for case in CASES[4:])],
 )
 def test_gain_or_delay_at_the_margin_puts_a_pole_on_the_unit_circle(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool, cut: float
@@ -135,9 +135,9 @@ NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 @pytest.mark.parametrize(
     ("ideal", "mode"),
     [
-        pytest.param(False, "reverse", marks=pytest.mark.slow),
-        pytest.param(True, "reverse", marks=pytest.mark.slow),
-        pytest.param(False, "forward", marks=pytest.mark.slow),
+        pytest.param(False, "reverse", marks=pytest.mark.oracle),
+        pytest.param(True, "reverse", marks=pytest.mark.oracle),
+        pytest.param(False, "forward", marks=pytest.mark.oracle),
     ],
 )
 def test_gradient_of_every_margin_is_the_central_difference(ideal: bool, mode: str) -> None:
@@ -156,7 +156,7 @@ def test_gradient_of_every_margin_is_the_central_difference(ideal: bool, mode: s
         np.testing.assert_allclose(ours, expected, atol=1e-6 * np.abs(expected).max())
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_unstable_loops_have_a_radius_with_a_gradient() -> None:
     """A tuner that starts there must be able to walk to stability."""
     slope = jax.grad(lambda k: margins(Params(Khat_s=k), 1900.0, ideal=True).spectral_radius)(200.0)
@@ -164,7 +164,7 @@ def test_unstable_loops_have_a_radius_with_a_gradient() -> None:
     assert slope < 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_batches_and_stiffness_sets_keep_their_shape() -> None:
     batch = Params.stack([Params(), Params(Q_p=2.0)])
     found = margins(batch, np.array([375.0, 810.0, 1900.0]), ideal=True)

@@ -223,9 +223,9 @@ NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 
 @pytest.mark.parametrize(
     ("architecture", "order"),
-    [*(pytest.param(name, 1, marks=pytest.mark.slow) for name in ("mpc-aob", "aob", "mpc")), ("mpc-aob", 2)],
+    [*(pytest.param(name, 1, marks=pytest.mark.oracle) for name in ("mpc-aob", "aob", "mpc")), ("mpc-aob", 2)],
 )
-@pytest.mark.parametrize("mode", [pytest.param("forward", marks=pytest.mark.slow), "reverse"])
+@pytest.mark.parametrize("mode", [pytest.param("forward", marks=pytest.mark.oracle), "reverse"])
 def test_gradient_of_the_design_is_the_central_difference(architecture: str, order: int, mode: str) -> None:
     """Relative to the largest component over log-parameters: scale-free, and R and δ stay fixed."""
     point = jnp.log(jnp.array([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0]))

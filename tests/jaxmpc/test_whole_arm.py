@@ -154,7 +154,7 @@ def test_it_foretells_the_hard_trials() -> None:
     assert np.mean(happened & ~foretold) < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_kinds_may_be_mixed() -> None:
     """Rigid and swinging, each in its own program and back in order: the text design stands one and not the other."""
     rigid, swinging = experiment(), experiment(cable_hz=22.0, stiffness=(1900.0,))

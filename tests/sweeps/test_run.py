@@ -109,7 +109,7 @@ def test_residuals_of_rows_are_scipys(smooth: SweepSpec, tmp_path: Path) -> None
     assert compared > 6
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_rows_are_those_of_evaluate(smooth: SweepSpec, tmp_path: Path) -> None:
     result = run(smooth, tmp_path / "run")
     exact = evaluate(make_plan(smooth).params(0, ROWS), smooth.experiment)

@@ -24,7 +24,7 @@ QUIET = {
 TUNED = {"lam": 5.0, "Q_p": 40.0, "Q_x": 5.0, "T_cl": 3e-4, "K2": 19.0, "Khat_s": 1900.0, "Hp": 12, "Hu": 5}
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @in_float64
 def test_every_parameter_at_twenty_random_feasible_points(small: Job) -> None:
     tune = {"starts": 2, "train_seeds": [0, 1], "duration": 0.6, "settle": 0.2, "levels": ["arm"]}

@@ -94,7 +94,7 @@ def test_an_evaluation_is_a_look_without_its_gradient(case: Case) -> None:
         np.testing.assert_allclose(getattr(case.measured, name), getattr(looked, name), rtol=1e-12, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @in_float64
 def test_slopes_of_risk_and_of_every_constraint_are_central_differences(case: Case) -> None:
     """Step 1e-5: rounding and curvature leave some 1e-8 of the largest slope."""

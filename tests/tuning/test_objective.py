@@ -46,7 +46,7 @@ def in_eights(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) ->
     return np.concatenate([function(part) for part in np.split(rows, len(rows) // 8)])
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @pytest.mark.parametrize("K2", [10.0, 60.0])
 def test_reverse_gradient_is_the_central_difference_for_every_parameter(small: Job, K2: float) -> None:
     spec = TuneSpec.from_dict(small(experiment=QUIET, params={"K2": K2, "Q_x": 1e-3}))
@@ -60,7 +60,7 @@ def test_reverse_gradient_is_the_central_difference_for_every_parameter(small: J
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
     goals = {
         "M_s": 1.1,
@@ -81,7 +81,7 @@ def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_full_diagonals_have_a_gradient_per_entry(small: Job) -> None:
     free = {"lam": True, "delta": True, "Khat_s": True}
     tune = {"free": free, "diagonals": ["lam", "delta"], "duration": 0.4, "settle": 0.1}

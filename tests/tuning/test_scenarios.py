@@ -54,7 +54,7 @@ def test_events_fall_into_a_short_run() -> None:
         assert 2.0 < (motion.rate_step_at if rhythm == "rate-step" else motion.ventilation_at) < 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_side_by_side_is_each_by_itself() -> None:
     """Friction, masses and delay of its own for each scenario; the same arithmetic lane by lane."""
     drawn = scenarios(ARM, WIDE, [0, 9, 18])

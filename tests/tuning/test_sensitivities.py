@@ -151,7 +151,7 @@ def test_curves_show_the_worse_cut_and_end_where_the_reference_asks(spec: TuneSp
         np.testing.assert_allclose(found.sensitivity[i], max(cuts[:, i], key=np.max), rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @in_float64
 def test_a_real_job_against_central_differences_without_another_program(small: Job) -> None:
     from tuning.objective.problem import _dealt

@@ -88,7 +88,7 @@ def test_a_trial_depends_on_its_seed_and_number_alone() -> None:
     assert one.motion != next_block.motion
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @pytest.mark.usefixtures("few")
 def test_every_trial_is_the_experiment_it_says() -> None:
     """Against the public function, one by one; K̂_s 200 is unstable on stiff tissue, whatever the run does."""

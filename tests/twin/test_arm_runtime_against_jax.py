@@ -58,7 +58,7 @@ def deviations(experiment, params, stiffness):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_a_second_on_five_stiffnesses():
     found = deviations(SHORT, Params(), STIFFNESS)
     assert len(found) == 5
@@ -72,7 +72,7 @@ def test_a_hundred_thousand_samples_on_five_stiffnesses():
     assert max(torque for _, torque in found) <= TOLERANCE
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_with_friction_compensation_preview_and_higher_order():
     arm = replace(TABLE.arm, compensation=0.5, tool_mass_error=0.05)
     experiment = replace(SHORT, arm=arm, reference=replace(SHORT.reference, preview=True))
@@ -91,7 +91,7 @@ def test_a_guarded_controller_whose_force_swings():
     assert replay(artifact_of(TABLE, gains._replace(guard=None), run, answer))[0] > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_another_law_would_be_seen(frozen):
     """A mass that is a billionth off."""
     _, artifact = frozen
@@ -124,7 +124,7 @@ def test_the_arm_of_plain_numbers_is_that_of_the_model_file():
     assert made.wam_chain()[1:] == chain()[1:]
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_freezing_from_parameters_to_a_file_that_runs(frozen):
     file, artifact = frozen
     again = load(file, expect_rate=1000.0, expect_robot=ROBOT)
@@ -135,7 +135,7 @@ def test_freezing_from_parameters_to_a_file_that_runs(frozen):
     assert not any(row["ideal"] for row in again.margins)
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_a_guarded_controller_is_frozen_with_a_force_that_swings(tmp_path):
     artifact = freeze_controller(tmp_path / "c.npz", Params(guarded=True), SHORT, {"M_s": 5.0}, ideal=False)
     guard = gain_backoff.init()

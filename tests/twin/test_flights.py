@@ -25,7 +25,7 @@ def simulated():
     return dict(zip((375.0, 810.0, 1900.0), np.asarray(outcome.metrics.rms), strict=True))
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @pytest.mark.parametrize("stiffness", [375.0, 810.0, 1900.0])
 def test_table_1_is_that_of_the_simulator(text, simulated, stiffness):
     # As in the simulator the heart begins to move once the tip is on it.
@@ -46,7 +46,7 @@ def test_table_1_is_that_of_the_simulator(text, simulated, stiffness):
         ("bus:babble=8000", {Reason.BUS_LOAD}, "stranger"),
     ],
 )
-@pytest.mark.parametrize("phase", [pytest.param(0.0, marks=pytest.mark.slow), 0.003])
+@pytest.mark.parametrize("phase", [pytest.param(0.0, marks=pytest.mark.oracle), 0.003])
 def test_a_hazard_ends_torque_within_two_cycles_for_good(plain, fault, reason, detail, phase):
     at = 2.5 + phase
     flight = fly(plain, f"{fault}@{at}+1.0" if fault.startswith("bus") else f"{fault}@{at}", "pendant:activate@2.7",
@@ -60,7 +60,7 @@ def test_a_hazard_ends_torque_within_two_cycles_for_good(plain, fault, reason, d
     assert flight.twin.safety.mode != 2 or fault.startswith("bus:off")
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_a_lost_reply_now_and_then_is_bridged(text):
     lossy = fly(text, "positions:lost=0.001", seconds=12.0, start=2.5, gap=BEFORE, seed=3)
     clean = fly(text, seconds=12.0, start=2.5, gap=BEFORE, seed=3)
@@ -154,7 +154,7 @@ def test_no_torque_frame_ever_breaks_a_limit(cautious):
     assert (np.abs(np.diff(joints, axis=0))[both] <= np.array(limits.torque_rate) * 1e-3).all()
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_the_same_flight_twice_is_the_same(cautious):
     one, other = (fly(cautious, seconds=1.0, gap=BEFORE, seed=5) for _ in range(2))
     assert one.frames == other.frames
@@ -166,7 +166,7 @@ def test_a_sensor_with_the_wrong_sign_from_the_start_shows_at_first_contact(caut
     assert flight.peak() <= cautious.arm.limits.force
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_nothing_is_met(cautious):
     flight = fly(cautious, seconds=1.0, gap=0.08)
     assert (flight.ended.situation.state, flight.reason) == (OperatingState.STOPPED, Reason.NO_CONTACT)

@@ -120,7 +120,7 @@ def idled(heard, since):
     return max(first.values()) if len(first) == 2 else None
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_a_killed_controller_leaves_an_idle_arm(tmp_path):
     with robot("--rhythm", "none") as (port, heard, bus):
         process = controller(tmp_path, port)
@@ -137,7 +137,7 @@ def test_a_killed_controller_leaves_an_idle_arm(tmp_path):
     assert [at for at in driven(heard) if at > killed + took] == []
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_a_stopped_controller_computes_nothing_from_what_is_old(tmp_path):
     with robot("--rhythm", "none") as (port, heard, bus):
         process = controller(tmp_path, port)

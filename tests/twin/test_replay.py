@@ -108,7 +108,7 @@ def test_both_programs_agree_with_the_flight(other_flight, capsys):
     assert "the same, within the tolerance" in out
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @pytest.mark.parametrize("gains", [made.text_gains(), made.guarded_gains()], ids=["text", "guarded"])
 def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys, gains):
     controller = tmp_path / "controller.npz"
@@ -128,7 +128,7 @@ def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys, gains):
     capsys.readouterr()
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 def test_it_shows_where_a_flight_parts(tmp_path, capsys):
     controller = tmp_path / "controller.npz"
     controller.write_bytes(to_bytes(made.arm_artifact()))
