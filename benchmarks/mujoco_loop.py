@@ -14,7 +14,8 @@ import mujoco
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-Four = tuple[float, float, float, float]
+from jaxmpc.law.vectors import Vector3, Vector4
+
 WAM = Path(__file__).resolve().parents[1] / "jaxmpc" / "world" / "wam.xml"
 IPNM = 2700.0  # counts of the torque command per motor torque [1/(N m)]
 JOINT_TO_MOTOR = np.array(
@@ -51,23 +52,23 @@ class Loop:
 
     stiffness: float = 810.0  # K_s [N/m]
     tissue_damping: float = 0.0  # b of the Kelvin-Voigt tissue [N s/m]
-    posture: Four = (0.0, 0.7, 0.0, 2.2)  # joint angles at the start [rad]
+    posture: Vector4 = (0.0, 0.7, 0.0, 2.2)  # joint angles at the start [rad]
     delay: int = 1  # 1 or 2 [samples]
     T_s: float = 1e-3  # sampling time and physics step [s]
-    sensor_lsb: tuple[float, float, float] = (0.0061, 0.0061, 0.0122)  # [N]
+    sensor_lsb: Vector3 = (0.0061, 0.0061, 0.0122)  # [N]
     sensor_cutoff: float = 0.0  # low-pass of the force sensor [Hz]
     sensor_mass: float = 0.0  # tool mass beyond the sensor, whose inertia it reads [kg]
     encoder_counts: int = 4096  # per motor turn
     velocity_cutoff: float = 180.0  # low-pass of the joint velocities [rad/s]
     torque_quantised: bool = True  # whether a torque command is a whole number of counts
-    torque_limit: Four = (4860.0, 4860.0, 4860.0, 4320.0)  # of each motor [counts]
+    torque_limit: Vector4 = (4860.0, 4860.0, 4860.0, 4320.0)  # of each motor [counts]
     mass_scale: float = 0.9  # nominal over true mass of links and tool [-]
     tool_mass_error: float = 0.0  # mass that only the nominal model has at the tip [kg]
-    coulomb: Four = (2.7, 2.5, 1.5, 1.1)  # friction of the joints [N m]
-    damping: Four | None = None  # viscous friction of the joints, None for the model file's [N m s/rad]
+    coulomb: Vector4 = (2.7, 2.5, 1.5, 1.1)  # friction of the joints [N m]
+    damping: Vector4 | None = None  # viscous friction of the joints, None for the model file's [N m s/rad]
     compensation: float = 0.0  # part of the nominal friction that the controller compensates [-]
-    nominal_coulomb: Four = (2.7, 2.5, 1.5, 1.1)  # [N m]
-    nominal_damping: Four = (1.5, 0.9, 0.5, 0.25)  # [N m s/rad]
+    nominal_coulomb: Vector4 = (2.7, 2.5, 1.5, 1.1)  # [N m]
+    nominal_damping: Vector4 = (1.5, 0.9, 0.5, 0.25)  # [N m s/rad]
 
 
 class Record(NamedTuple):

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.vectors import Vector4
 
-Four = tuple[float, float, float, float]
 Range = tuple[float, float]
 Ranges = tuple[Range, Range, Range, Range]
 Box = tuple[Range, Range, Range]
@@ -17,7 +17,7 @@ MECHANICAL_STOPS: Ranges = ((-2.6, 2.6), (-2.0, 2.0), (-2.8, 2.8), (-0.9, 3.15))
 REACH = 1.0
 """Radius that contains all the tip can reach [m] (Barrett)."""
 
-LOWEST: Mapping[str, float | Four] = {
+LOWEST: Mapping[str, float | Vector4] = {
     "force": 0.1,
     "joint_torque": (1.0, 1.0, 1.0, 1.0),
     "motor_torque": (0.1, 0.1, 0.1, 0.1),
@@ -28,7 +28,7 @@ LOWEST: Mapping[str, float | Four] = {
 }
 """Nobody can declare less. A smaller torque or rate would leave no whole puck unit between two limits; a smaller
 singular value would not keep the arm from losing a direction."""
-HIGHEST: Mapping[str, float | Four] = {
+HIGHEST: Mapping[str, float | Vector4] = {
     "force": 100.0,
     "joint_torque": (75.6, 101.7, 60.53, 28.8),
     "motor_torque": (1.8, 1.8, 1.8, 1.6),
@@ -72,10 +72,10 @@ class Limits:
     """
 
     force: float
-    joint_torque: Four
-    motor_torque: Four
-    torque_rate: Four
-    joint_velocity: Four
+    joint_torque: Vector4
+    motor_torque: Vector4
+    torque_rate: Vector4
+    joint_velocity: Vector4
     tip_velocity: float
     joint_range: Ranges
     workspace: Box

@@ -2,9 +2,10 @@
 
 from typing import Final
 
-from deploy.force.sensor import Triple, Wrench
+from deploy.force.sensor import Wrench
 from deploy.puck.codec import FORCE_READING, GROUPS, SENSOR, ForceReply, MomentReply, decode, get, set_value
 from deploy.puck.frame import Frame
+from jaxmpc.law.vectors import Vector3
 
 FORCE_ID: Final = GROUPS["force"] | SENSOR << 5
 MOMENT_ID: Final = GROUPS["moment"] | SENSOR << 5
@@ -33,7 +34,7 @@ class CanSensor:
         self._request = (get(SENSOR, reading),)
         self._tare = (set_value(SENSOR, reading, 0),)
         self._force: ForceReply | None = None
-        self._moment: Triple = (0.0, 0.0, 0.0)
+        self._moment: Vector3 = (0.0, 0.0, 0.0)
         self._moment_came, self._forces, self._doubt = False, 1, 0  # nothing is missing before the first question
 
     @property

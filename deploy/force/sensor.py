@@ -7,8 +7,7 @@ from typing import Final, NamedTuple, Protocol
 from deploy.errors import CalibrationError
 from deploy.puck.frame import Frame
 from jaxmpc.law.scalar import Matrix, sub
-
-Triple = tuple[float, float, float]
+from jaxmpc.law.vectors import Vector3
 
 SATURATED: Final = 0x3F
 BAD_DATA: Final = 0x40
@@ -19,8 +18,8 @@ IDENTITY: Final[Matrix] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 class Wrench(NamedTuple):
     """One reading: force [N], moment [N m], flags (`SATURATED` gauges or axes, `BAD_DATA`, `TARE_AGAIN`)."""
 
-    force: Triple
-    moment: Triple
+    force: Vector3
+    moment: Vector3
     flags: int
 
 
@@ -114,13 +113,13 @@ class Mounted:
         self._bias = (0.0, 0.0, 0.0)
         return self.sensor.tare()
 
-    def _turned(self, x: float, y: float, z: float) -> Triple:
+    def _turned(self, x: float, y: float, z: float) -> Vector3:
         """−R (x, y, z), written out: it runs in every cycle."""
         (a, b, c), (d, e, f), (g, h, i) = self._minus_rotation
         return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
 
-def mean_force(wrenches: Iterable[Wrench]) -> Triple:
+def mean_force(wrenches: Iterable[Wrench]) -> Vector3:
     """The mean force of readings (3,) [N], as for a bias.
 
     Raises:

@@ -14,10 +14,9 @@ from typing import Any
 from deploy.reference.stream import Source, Stream
 from deploy.runtime.arm import ArmRuntime
 from deploy.safety.machine import Task
+from jaxmpc.law.vectors import Vector3, Vector4
 
-Three = tuple[float, float, float]
-Four = tuple[float, float, float, float]
-NONE: Three = (0.0, 0.0, 0.0)
+NONE: Vector3 = (0.0, 0.0, 0.0)
 
 STIFFNESS, INTEGRAL, DAMPING = 900.0, 6750.0, 67.5
 """k_p [1/s²], k_i [1/s³], k_d [1/s]: poles near 22 rad/s, slow beside the sampling, fast beside what is asked for."""
@@ -29,7 +28,7 @@ LARGEST_ERROR = 0.02
 class Contacting:
     """How the tissue is met and left."""
 
-    normal: Three = (0.0, 0.0, 1.0)
+    normal: Vector3 = (0.0, 0.0, 1.0)
     """From the tissue to the air, unit length, shoulder frame."""
     approach_speed: float = 0.005
     """[m/s]"""
@@ -66,7 +65,7 @@ class Controller:
             **stream: `rate` [N/s] and `largest` [N] of the wanted force.
         """
         self.runtime, self.contacting = runtime, contacting
-        self.force_ref: Three = NONE
+        self.force_ref: Vector3 = NONE
         self._source, self._T_s = source, T_s
         self._limits: dict[str, Any] = {"ahead": ahead, **stream}
         self._stream: Stream | None = None
@@ -74,7 +73,9 @@ class Controller:
         self._task = Task.OFF
         self._reference, self._start, self._sum = NONE, NONE, NONE
 
-    def torque(self, task: Task, q: Four, qd: Four, tip: Three, tip_velocity: Three, force: Three | None) -> Four:
+    def torque(
+        self, task: Task, q: Vector4, qd: Vector4, tip: Vector3, tip_velocity: Vector3, force: Vector3 | None
+    ) -> Vector4:
         """Joint torques that a task asks for, before any clamp [N m].
 
         Args:
@@ -94,7 +95,7 @@ class Controller:
         if task is Task.OFF:
             return (0.0, 0.0, 0.0, 0.0)
         if task is Task.GRAVITY:
-            held: Four = self.runtime.gravity(q)
+            held: Vector4 = self.runtime.gravity(q)
             return held
         if entered:
             self._reference, self._start, self._sum = tip, tip, NONE
@@ -105,7 +106,7 @@ class Controller:
             speed = 0.0
         return self._servo(speed, q, qd, tip, tip_velocity, force or NONE)
 
-    def travelled(self, tip: Three) -> bool:
+    def travelled(self, tip: Vector3) -> bool:
         """Whether the approach or the retraction has gone as far as it may."""
         if self._task is Task.APPROACH:
             return self.along(self._start, tip) < -self.contacting.approach_limit
@@ -115,11 +116,11 @@ class Controller:
             return self.along(self._start, tip) >= far or asked >= 2.0 * far
         return False
 
-    def along(self, start: Three, end: Three) -> float:
+    def along(self, start: Vector3, end: Vector3) -> float:
         """Way from one point to another along the contact normal [m]."""
         return sum(n * (b - a) for n, a, b in zip(self.contacting.normal, start, end, strict=True))
 
-    def touching(self, force: Three | None) -> bool:
+    def touching(self, force: Vector3 | None) -> bool:
         """Whether the tip touches something: a tissue that holds it may as well pull, or drag it aside."""
         return force is not None and math.hypot(*force) > self.contacting.threshold
 
@@ -132,13 +133,13 @@ class Controller:
         """What the source of the wanted force has to say."""
         return self._source.notes()
 
-    def _enter(self, force: Three, q: Four) -> None:
+    def _enter(self, force: Vector3, q: Vector4) -> None:
         """Bumpless: observers start at the measured force, and so does the wanted one."""
         self.runtime.enter(force, q)
         self._stream = Stream(self._source, self._T_s, force, **self._limits)
         self._samples = 0
 
-    def _control(self, q: Four, qd: Four, force: Three | None) -> Four:
+    def _control(self, q: Vector4, qd: Vector4, force: Vector3 | None) -> Vector4:
         assert self._stream is not None
         wanted: Any = self._stream.at(self.contact_time)
         self._samples += 1
@@ -146,7 +147,9 @@ class Controller:
         self.force_ref = (x[0], y[0], z[0]) if isinstance(x, tuple) else wanted
         return self.runtime.control(q, qd, force, wanted)
 
-    def _servo(self, speed: float, q: Four, qd: Four, tip: Three, tip_velocity: Three, force: Three) -> Four:
+    def _servo(
+        self, speed: float, q: Vector4, qd: Vector4, tip: Vector3, tip_velocity: Vector3, force: Vector3
+    ) -> Vector4:
         step = speed * self._T_s
         normal = self.contacting.normal
         self._reference = _plus(self._reference, step, normal)
@@ -157,10 +160,10 @@ class Controller:
         return self.runtime.servo(q, qd, a, force)
 
 
-def _plus(a: Three, factor: float, b: Three) -> Three:
+def _plus(a: Vector3, factor: float, b: Vector3) -> Vector3:
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
-def _within(a: Three, length: float) -> Three:
+def _within(a: Vector3, length: float) -> Vector3:
     size = math.hypot(*a)
     return a if size <= length else _plus(NONE, length / size, a)

@@ -23,10 +23,9 @@ from deploy.safety.reasons import Reason
 from deploy.wam.arm import Reading, WamArm
 from deploy.wam.encoder_bridge import EncoderBridge
 from deploy.wam.tip_pose import TipKinematics
+from jaxmpc.law.vectors import Vector3, Vector4
 
-Three = tuple[float, float, float]
-Four = tuple[float, float, float, float]
-ZERO: Four = (0.0, 0.0, 0.0, 0.0)
+ZERO: Vector4 = (0.0, 0.0, 0.0, 0.0)
 FOREIGN, FOREIGN_CYCLES = 4, 2
 """Foreign frames in a cycle, so many cycles in a row, that are a babbling node: half of what a full bus can hold."""
 SILENT = 100
@@ -74,14 +73,14 @@ class CycleResult(NamedTuple):
     situation: SafetyState
     task: Task
     clamp: Clamp
-    q: Four
-    qd: Four
+    q: Vector4
+    qd: Vector4
     where: TipKinematics
-    force: Three | None
+    force: Vector3 | None
     """On the tissue, in the world's axes [N]."""
-    wanted: Four
+    wanted: Vector4
     """Before the clamp [N m]."""
-    applied: Four
+    applied: Vector4
     """Behind it [N m]."""
 
 
@@ -95,9 +94,9 @@ class Cycle:
         limits: Limits,
         T_s: float,
         tool_length: float,
-        whereabouts: Callable[[Four, Four], TipKinematics],
+        whereabouts: Callable[[Vector4, Vector4], TipKinematics],
         turns: bool = True,
-        hook: Callable[[Three], Three] | None = None,
+        hook: Callable[[Vector3], Vector3] | None = None,
     ) -> None:
         """Put the parts together, before motion.
 
@@ -163,7 +162,7 @@ class Cycle:
         self.situation = machine.step(self.situation, seen)
         return self._send(q, qd, where, force, age)
 
-    def _send(self, q: Four, qd: Four, where: TipKinematics, force: Three | None, age: int) -> CycleResult:
+    def _send(self, q: Vector4, qd: Vector4, where: TipKinematics, force: Vector3 | None, age: int) -> CycleResult:
         """The frame of the task, or of the lesser one that its refusal leads to."""
         while True:
             task = machine.task_of(self.situation, age)
@@ -206,7 +205,7 @@ class Cycle:
             self._q = q
         return reason or Reason.NONE, age, oldest
 
-    def _force(self, reading: Reading, where: TipKinematics) -> tuple[Three | None, Reason]:
+    def _force(self, reading: Reading, where: TipKinematics) -> tuple[Vector3 | None, Reason]:
         """The force on the tissue in the world's axes, if it can be trusted, and else why not."""
         raw = reading.force
         if raw is not None and self._hook is not None:

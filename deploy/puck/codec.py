@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 from deploy.puck.frame import Frame
+from jaxmpc.law.vectors import Vector3
 
 HOST: Final = 0
 PUCKS: Final = (1, 2, 3, 4)
@@ -40,7 +41,6 @@ PER_NEWTON, PER_NEWTON_METRE, PER_ACCELERATION = 256, 4096, 1024
 """Counts of the force sensor per N, per N m and per m/s²."""
 
 Units = tuple[int, int, int, int]
-Triple = tuple[float, float, float]
 
 
 class Get(NamedTuple):
@@ -84,21 +84,21 @@ class PropertyReply(NamedTuple):
 class ForceReply(NamedTuple):
     """Force [N] and, if the sensor sends them, its flags: 0x80 tare again, 0x40 bad data, 0x3F saturated gauges."""
 
-    force: Triple
+    force: Vector3
     flags: int | None
 
 
 class MomentReply(NamedTuple):
     """Moment [N m] and, if the sensor sends them, its flags."""
 
-    moment: Triple
+    moment: Vector3
     flags: int | None
 
 
 class AccelerationReply(NamedTuple):
     """Acceleration of the sensor [m/s²]."""
 
-    acceleration: Triple
+    acceleration: Vector3
 
 
 Decoded = Get | Set | Torques | Position | PropertyReply | ForceReply | MomentReply | AccelerationReply
@@ -261,7 +261,7 @@ def _value(data: bytes) -> int | None:
     return int.from_bytes(data[2:], "little", signed=True)
 
 
-def _triple(data: bytes, per_unit: int) -> Triple | None:
+def _triple(data: bytes, per_unit: int) -> Vector3 | None:
     if len(data) != 6 and len(data) != 7:
         return None
     x, y, z = _THREE(data)

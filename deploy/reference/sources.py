@@ -8,14 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-Force = tuple[float, float, float]
+from jaxmpc.law.vectors import Vector3
+
 _LONGEST_LINE = 200
 
 
 class Source(Protocol):
     """Something that wants a force."""
 
-    def wanted(self, t: float) -> Force:
+    def wanted(self, t: float) -> Vector3:
         """Force on the tissue [N] wanted at a time since contact [s]."""
 
     def notes(self) -> list[str]:
@@ -26,9 +27,9 @@ class Source(Protocol):
 class Constant:
     """The same force for ever."""
 
-    force: Force
+    force: Vector3
 
-    def wanted(self, t: float) -> Force:
+    def wanted(self, t: float) -> Vector3:
         """Force on the tissue [N] wanted at a time since contact [s]."""
         return self.force
 
@@ -40,13 +41,13 @@ class Constant:
 class Table:
     """Force at given times, straight lines between them; before the first and after the last it is held."""
 
-    def __init__(self, times: Sequence[float], forces: Sequence[Force], name: str = "reference") -> None:
+    def __init__(self, times: Sequence[float], forces: Sequence[Vector3], name: str = "reference") -> None:
         """Take rows with increasing times [s] and finite forces [N]."""
         self._times, self._forces, self._name = tuple(times), tuple(forces), name
         self._row = 0
         self._ended = False
 
-    def wanted(self, t: float) -> Force:
+    def wanted(self, t: float) -> Vector3:
         """Force on the tissue [N] wanted at a time since contact [s]."""
         times, forces = self._times, self._forces
         if t >= times[-1]:
@@ -71,7 +72,7 @@ class Table:
 class Lines:
     """The last valid line of a stream of lines `x y z` [N], read by a thread; at the end it is held."""
 
-    def __init__(self, descriptor: int, start: Force, largest: float) -> None:
+    def __init__(self, descriptor: int, start: Vector3, largest: float) -> None:
         """Start reading.
 
         Args:
@@ -86,7 +87,7 @@ class Lines:
         self._descriptor = descriptor
         threading.Thread(target=self._work, name="reference", daemon=True).start()
 
-    def wanted(self, t: float) -> Force:
+    def wanted(self, t: float) -> Vector3:
         """Force on the tissue [N] wanted now."""
         return self._force
 

@@ -9,10 +9,11 @@ import os
 from collections import deque
 from pathlib import Path
 
-from deploy.reference.sources import Constant, Force, Lines, Source, Table
+from deploy.reference.sources import Constant, Lines, Source, Table
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.vectors import Vector3
 
-__all__ = ["Constant", "Force", "Lines", "Source", "Stream", "Table", "csv_file", "from_text", "ramps"]
+__all__ = ["Constant", "Lines", "Source", "Stream", "Table", "csv_file", "from_text", "ramps"]
 
 RATE, LARGEST = 5.0, 10.0
 """Largest rate [N/s] and magnitude [N] of a wanted force, unless the caller gives others."""
@@ -28,7 +29,7 @@ class Stream:
         self,
         source: Source,
         T_s: float,
-        start: Force = (0.0, 0.0, 0.0),
+        start: Vector3 = (0.0, 0.0, 0.0),
         *,
         rate: float = RATE,
         largest: float = LARGEST,
@@ -58,7 +59,7 @@ class Stream:
         for _ in range(ahead - 1):
             self._advance()
 
-    def at(self, t: float) -> tuple[float, float, float] | tuple[tuple[float, ...], ...]:
+    def at(self, t: float) -> Vector3 | tuple[tuple[float, ...], ...]:
         """Wanted force of the sample at a time since contact [s].
 
         Times do not go back. After missed samples it follows the source on, never faster than three samples at once.
@@ -99,7 +100,7 @@ class Stream:
             axis.append(value)
 
 
-def from_text(text: str, *, rate: float = RATE, largest: float = LARGEST, start: Force = (0.0, 0.0, 0.0)) -> Source:
+def from_text(text: str, *, rate: float = RATE, largest: float = LARGEST, start: Vector3 = (0.0, 0.0, 0.0)) -> Source:
     """The source that an argument of the command line means.
 
     Args:
@@ -126,7 +127,7 @@ def from_text(text: str, *, rate: float = RATE, largest: float = LARGEST, start:
     return Constant(force)
 
 
-def ramps(text: str, *, rate: float, largest: float, start: Force = (0.0, 0.0, 0.0)) -> Table:
+def ramps(text: str, *, rate: float, largest: float, start: Vector3 = (0.0, 0.0, 0.0)) -> Table:
     """Segments in a row: `X,Y,Z@RATE` goes to a force [N] at a rate [N/s], `hold@SECONDS` waits.
 
     Raises:
@@ -164,7 +165,7 @@ def csv_file(path: Path, *, rate: float, largest: float) -> Table:
             fast; it names the line.
     """
     times: list[float] = []
-    forces: list[Force] = []
+    forces: list[Vector3] = []
     for line, text in enumerate(_text_of(path).splitlines(), start=1):
         cells = [cell.strip() for cell in text.split(",")]
         if line == 1:
@@ -209,13 +210,13 @@ def _text_of(path: Path) -> str:
         raise InputError("encoding", "not UTF-8", "UTF-8", "Save it as plain text.").at(path) from None
 
 
-def _check_size(force: Force, largest: float, key: str) -> None:
+def _check_size(force: Vector3, largest: float, key: str) -> None:
     size = math.hypot(*force)
     if not size <= largest:
         raise InputError(key, f"{size:.4g} N", f"at most {largest:g} N", "Ask for less, or declare a higher limit.")
 
 
-def _force(text: str) -> Force | None:
+def _force(text: str) -> Vector3 | None:
     values = [_number(word) for word in text.split(",")]
     return (values[0], values[1], values[2]) if len(values) == 3 and math.isfinite(sum(values)) else None
 

@@ -17,15 +17,14 @@ from deploy.runtime.straightline import functions as ops
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import cascade, chain, computed_torque, force_control, friction_compensation, gain_backoff
 from jaxmpc.law.scalar import add, scale, sub
+from jaxmpc.law.vectors import Vector3, Vector4
 from jaxmpc.world import drive
 
 if TYPE_CHECKING:
     from deploy.controller.artifact import Artifact
 
-Triple = tuple[float, float, float]
-Joints = tuple[float, float, float, float]
-_FOUR: Joints = (0.0, 0.0, 0.0, 0.0)
-_THREE: Triple = (0.0, 0.0, 0.0)
+_FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)
+_THREE: Vector3 = (0.0, 0.0, 0.0)
 
 
 class ArmRuntime:
@@ -39,10 +38,10 @@ class ArmRuntime:
         last_torque: Torques it wanted [N m].
     """
 
-    last_v: Triple
-    last_a: Triple
-    last_force: Triple
-    last_torque: Joints
+    last_v: Vector3
+    last_a: Vector3
+    last_force: Vector3
+    last_torque: Vector4
 
     def __init__(self, artifact: "Artifact") -> None:
         """Record the tick.
@@ -74,7 +73,7 @@ class ArmRuntime:
         self.gravity = compile_straightline(law.gravity, (_FOUR,)).function
         self.tip = compile_straightline(law.tip, (_FOUR,)).function
 
-    def start(self, q: Joints) -> None:
+    def start(self, q: Vector4) -> None:
         """Forget everything; at rest at measured joint angles [rad], without contact."""
         angles = tuple(map(float, q))  # numbers of numpy would stay and make every sample slower
         self._measured: Any = (angles, _FOUR)
@@ -85,12 +84,12 @@ class ArmRuntime:
         self.last_torque = _FOUR
         self._found: Any = None
 
-    def velocity(self, q: Joints) -> Joints:
+    def velocity(self, q: Vector4) -> Vector4:
         """Filtered joint velocities [rad/s] from measured angles [rad]; once a sample."""
         self._measured = self._measure(self._measured, q)
         return self._measured[1]  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
-    def enter(self, force: Triple, q: Joints) -> None:
+    def enter(self, force: Vector3, q: Vector4) -> None:
         """Contact is made: observers at the measured force [N], full gain, and bumpless.
 
         What was asked of the tip so far, v = a + K₂ẋ, was all that held it where it is: it is taken for the
@@ -99,7 +98,7 @@ class ArmRuntime:
         self._axes, self._applied, self._guard = self._enter(force, q, self._measured[1], self.last_a)
         self.last_v = self._applied
 
-    def control(self, q: Joints, qd: Joints, force: Triple | None, force_ref: Any) -> Joints:
+    def control(self, q: Vector4, qd: Vector4, force: Vector3 | None, force_ref: Any) -> Vector4:
         """Advance the controller by one sample.
 
         Args:
@@ -120,30 +119,30 @@ class ArmRuntime:
         self.last_v = self._applied = v
         return self.last_torque
 
-    def applied(self, torque: Joints) -> None:
+    def applied(self, torque: Vector4) -> None:
         """Tell the observers which joint torques [N m] the limits let pass since the last `control`."""
         if torque != self.last_torque:
             self._applied = self._told(self.last_v, self.last_torque, *self._found, torque)
 
-    def servo(self, q: Joints, qd: Joints, acceleration: Triple, force: Triple) -> Joints:
+    def servo(self, q: Vector4, qd: Vector4, acceleration: Vector3, force: Vector3) -> Vector4:
         """Joint torques [N m] for an acceleration of the tip [m/s²] under a measured force [N]; the cascades rest."""
         self.last_a, self.last_force = acceleration, force
         self._bristles, torque = self._servo(self._bristles, q, qd, acceleration, force)
         return torque  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
-    def prediction(self) -> Triple:
+    def prediction(self) -> Vector3:
         """What the observers expect to be measured next [N]."""
         return self._predict(self._axes, self._guard)  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
-    def p_hat(self) -> Triple:
+    def p_hat(self) -> Vector3:
         """Active states: estimated disturbances [m/s²]."""
         x, y, z = self._axes
         return x[1], y[1], z[1]
 
     @property
-    def u(self) -> Triple:
+    def u(self) -> Vector3:
         """Outputs of the MPC [N]."""
         x, y, z = self._axes
         return x[2], y[2], z[2]

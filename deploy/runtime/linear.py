@@ -7,11 +7,10 @@ import numpy as np
 
 from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law import cascade
+from jaxmpc.law.vectors import Vector3
 
 if TYPE_CHECKING:
     from deploy.controller.artifact import Artifact
-
-Triple = tuple[float, float, float]
 
 
 class Runtime:
@@ -49,11 +48,11 @@ class Runtime:
         """Start at rest, in contact with a measured force (3,) [N]."""
         x, y, z = _plain(force)
         self._states: Any = tuple(cascade.init(each, self._order) for each in (x, y, z))
-        self._applied: Triple = (0.0, 0.0, 0.0)
+        self._applied: Vector3 = (0.0, 0.0, 0.0)
 
     def step(
         self, force: Sequence[float] | np.ndarray, force_ref: Sequence[float] | Sequence[Sequence[float]] | np.ndarray
-    ) -> Triple:
+    ) -> Vector3:
         """Advance by one sample.
 
         Args:

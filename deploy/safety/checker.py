@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from enum import StrEnum
 from math import isfinite, sqrt
 
-from deploy.controller.limits import Four, Limits
+from deploy.controller.limits import Limits
 from deploy.puck.frame import Frame
 from deploy.safety.kinematics import kinematics
 from deploy.safety.reasons import Reason
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.vectors import Vector3, Vector4
 
 PACKED, TORQUE, WIDTH = 0x401, 42, 14
 """Identifier of the packed torque, its property, bits of a value (wam.md §3.1–3.3)."""
@@ -64,7 +65,7 @@ class Checker:
         if not 1e-4 <= T_s <= 0.1:
             raise InputError("T_s", T_s, "in [1e-4, 0.1] s", "The paper's controller runs at 1e-3.")
         self.limits = limits
-        self.torque: Four = (0.0, 0.0, 0.0, 0.0)
+        self.torque: Vector4 = (0.0, 0.0, 0.0, 0.0)
         self._lsb = tuple(1.0 / units for units in ipnm)
         self._shift = tuple(WIDTH * (4 - place) for place in pidx)
         self._step = tuple(rate * T_s for rate in limits.torque_rate)
@@ -75,9 +76,9 @@ class Checker:
         frame: Frame,
         may_drive: bool,
         strictness: Strictness,
-        q: Four,
-        qd: Four,
-        force: tuple[float, float, float] | None,
+        q: Vector4,
+        qd: Vector4,
+        force: Vector3 | None,
         position_age: int,
     ) -> Reason | None:
         """Why a torque frame must not be sent, or None; then it counts as sent.
@@ -110,7 +111,7 @@ class Checker:
             self.torque = torque
         return reason
 
-    def _decoded(self, frame: Frame) -> Four | None:
+    def _decoded(self, frame: Frame) -> Vector4 | None:
         """Motor torques 1–4 of a packed torque [N m]; None if it is none."""
         if frame.id != PACKED or len(frame.data) != 8 or frame.data[0] != 0x80 | TORQUE:
             return None
@@ -121,7 +122,7 @@ class Checker:
             motors.append((value - 0x4000 if value > 0x1FFF else value) * lsb)
         return motors[0], motors[1], motors[2], motors[3]
 
-    def _torque_reason(self, motors: Four, torque: Four) -> Reason | None:
+    def _torque_reason(self, motors: Vector4, torque: Vector4) -> Reason | None:
         limits = self.limits
         for value, most in zip(motors, limits.motor_torque, strict=True):
             if not -most <= value <= most:
@@ -133,14 +134,14 @@ class Checker:
                 return Reason.TORQUE_RATE
         return None
 
-    def _position_reason(self, strictness: Strictness, q: Four, qd: Four, position_age: int) -> Reason | None:
+    def _position_reason(self, strictness: Strictness, q: Vector4, qd: Vector4, position_age: int) -> Reason | None:
         if not 0 <= position_age <= HOLD_AGE:
             return Reason.POSITION_LOST
         if strictness is Strictness.CONTROL and position_age > CONTROL_AGE:
             return Reason.POSITION_OLD
         return None if all(map(isfinite, q)) and all(map(isfinite, qd)) else Reason.NOT_FINITE
 
-    def _motion_reason(self, q: Four, qd: Four) -> Reason | None:
+    def _motion_reason(self, q: Vector4, qd: Vector4) -> Reason | None:
         limits = self.limits
         for angle, (low, high) in zip(q, limits.joint_range, strict=True):
             if not low <= angle <= high:
@@ -158,7 +159,7 @@ class Checker:
             return Reason.ELBOW_VELOCITY
         return None if singular_value >= limits.least_singular_value else Reason.SINGULARITY
 
-    def _force_reason(self, force: tuple[float, float, float] | None) -> Reason | None:
+    def _force_reason(self, force: Vector3 | None) -> Reason | None:
         if force is None:
             return None
         x, y, z = force

@@ -16,8 +16,9 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import NamedTuple
 
-from deploy.controller.limits import Four, Limits
+from deploy.controller.limits import Limits
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.vectors import Vector4
 from jaxmpc.world.drive import N1, N2, N3, N4
 
 SLACK = 1e-9
@@ -27,9 +28,9 @@ SLACK = 1e-9
 class Bounds(NamedTuple):
     """Limits, drawn in by what rounding to puck units may change."""
 
-    torque: Four
+    torque: Vector4
     """Of the joints [N m]; of J1 and J4 also by their own motors."""
-    step: Four
+    step: Vector4
     """Largest change of a joint's torque in a cycle [N m]."""
     motor2: float
     """[N m]"""
@@ -95,7 +96,7 @@ def bounds(limits: Limits, T_s: float, ipnm: Sequence[float]) -> Bounds:
     )
 
 
-def clamp(wanted: Four, last_sent: Four, within: Bounds) -> tuple[Four, Clamp]:
+def clamp(wanted: Vector4, last_sent: Vector4, within: Bounds) -> tuple[Vector4, Clamp]:
     """The torques to send instead of those wanted.
 
     Args:

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from deploy.runtime.straightline import compile_straightline, functions
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.vectors import Vector3
 
 OFFSET, UPPER_ARM = 0.045, 0.55
 """b and l above [m]."""
@@ -27,7 +28,7 @@ Vector = tuple[Any, ...]
 class TipMotion(NamedTuple):
     """Of the arm at an instant."""
 
-    tip: tuple[float, float, float]
+    tip: Vector3
     """Place of the tip in the shoulder's frame [m]."""
     tip_speed: float
     """[m/s]"""

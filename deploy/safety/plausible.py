@@ -20,10 +20,9 @@ from itertools import pairwise
 from math import erf, isfinite, pi, sqrt
 from typing import NamedTuple
 
-from deploy.controller.limits import MECHANICAL_STOPS, Four
+from deploy.controller.limits import MECHANICAL_STOPS
 from deploy.safety.reasons import Reason
-
-Triple = tuple[float, float, float]
+from jaxmpc.law.vectors import Vector3, Vector4
 
 FORCE_LOST = 3
 """Missing samples in a row that are too many; one or two are bridged by the observer's prediction."""
@@ -55,7 +54,7 @@ BEYOND_STOP = 0.1
 class ForceState(NamedTuple):
     """What is remembered of the force sensor."""
 
-    last: Triple | None = None
+    last: Vector3 | None = None
     """Last sample that came [N]."""
     missing: int = 0
     """Samples in a row that did not."""
@@ -68,7 +67,7 @@ class ForceState(NamedTuple):
 
 
 def force_step(
-    state: ForceState, force: Triple | None, innovation: Triple | None = None
+    state: ForceState, force: Vector3 | None, innovation: Vector3 | None = None
 ) -> tuple[ForceState, Reason | None]:
     """Take a sample of the force sensor.
 
@@ -139,7 +138,7 @@ class EncoderState(NamedTuple):
     """Last that came."""
     age: tuple[int, int, int, int] = (0, 0, 0, 0)
     """Cycles since then."""
-    speed: Four = (0.0, 0.0, 0.0, 0.0)
+    speed: Vector4 = (0.0, 0.0, 0.0, 0.0)
     """Of the motors before they stood still [rad/s]."""
     still: tuple[int, int, int, int] = (0, 0, 0, 0)
     """Samples in a row with this value, less one."""

@@ -4,8 +4,9 @@ from collections.abc import Callable
 from typing import Any
 
 from deploy.runtime.straightline import compile_straightline, functions
-from deploy.twin.settings import Four, TwinSettings
+from deploy.twin.settings import TwinSettings
 from jaxmpc.law.scalar import apply, apply_transposed
+from jaxmpc.law.vectors import Vector4
 from jaxmpc.world import drive, friction
 
 _FOUR = (0.0, 0.0, 0.0, 0.0)
@@ -18,7 +19,7 @@ joint_torques = compile_straightline(lambda torque: apply_transposed(drive.JOINT
 """Joint torques from motor torques."""
 
 
-def friction_step(settings: TwinSettings, h: float) -> Callable[[Four, Four], Any]:
+def friction_step(settings: TwinSettings, h: float) -> Callable[[Vector4, Vector4], Any]:
     """`jaxmpc.world.friction.step` over h [s] as a function of deflections [-] and joint velocities [rad/s]."""
     joints = friction.Friction(settings.coulomb, settings.presliding)
     return compile_straightline(lambda s, v: friction.step(joints, s, v, h, functions), (_FOUR, _FOUR)).function

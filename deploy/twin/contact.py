@@ -3,7 +3,8 @@
 import math
 from types import SimpleNamespace
 
-from deploy.twin.settings import Three, TwinSettings
+from deploy.twin.settings import TwinSettings
+from jaxmpc.law.vectors import Vector3
 from jaxmpc.world import tissue
 
 LIFTED = 10.0 * tissue.WIDTH
@@ -12,7 +13,7 @@ RADIUS = 0.06
 """How far from where it is to be touched the heart's surface ends [m]."""
 _LARGEST_FORCE = 1e3
 """Where the tissue's force is cut off, so that no fault can make numbers overflow [N]."""
-_NONE: Three = (0.0, 0.0, 0.0)
+_NONE: Vector3 = (0.0, 0.0, 0.0)
 _FLOATS = SimpleNamespace(sqrt=math.sqrt, maximum=max, exp=lambda x: math.exp(min(x, 50.0)))
 
 
@@ -23,7 +24,7 @@ class TwinContact:
         touching: Whether the tip is in contact.
     """
 
-    def __init__(self, settings: TwinSettings, rest: Three) -> None:
+    def __init__(self, settings: TwinSettings, rest: Vector3) -> None:
         """Begin without contact.
 
         Args:
@@ -39,7 +40,7 @@ class TwinContact:
         self.touching, self._anchor = touching, self._rest
         self._memory = tissue.init(self._kind, 0.0)
 
-    def press(self, tip: Three, speed: Three, heart: Three, rate: Three, h: float) -> Three:
+    def press(self, tip: Vector3, speed: Vector3, heart: Vector3, rate: Vector3, h: float) -> Vector3:
         """Force on the tissue now [N]; what the tissue remembers goes on by h [s], contact begins and ends.
 
         Args:
@@ -67,7 +68,7 @@ class TwinContact:
             return _NONE
         return _cut(force[0]), _cut(force[1]), _cut(force[2])
 
-    def _above(self, tip: Three) -> bool:
+    def _above(self, tip: Vector3) -> bool:
         return math.hypot(tip[0] - self._rest[0], tip[1] - self._rest[1]) < RADIUS
 
 

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from deploy.twin.settings import Three, TwinSettings
+from deploy.twin.settings import TwinSettings
+from jaxmpc.law.vectors import Vector3
 from jaxmpc.world import drive, sensor
 
 GRAVITY = 9.805
@@ -24,10 +25,10 @@ class ForceSensorModel:
         self._noise, self._random = settings.noise, np.random.default_rng([settings.seed, 1])
         x, y, z = settings.bias
         # What lies beyond hangs on the sensor as if the tissue pulled the arm down: y = K_s d points up then.
-        self._offset: Three = (x, y, z + settings.beyond_sensor * GRAVITY)
-        self._drawn: list[Three] = []
+        self._offset: Vector3 = (x, y, z + settings.beyond_sensor * GRAVITY)
+        self._drawn: list[Vector3] = []
 
-    def read(self, force: Three, velocity: Three) -> Three:
+    def read(self, force: Vector3, velocity: Vector3) -> Vector3:
         """What is read at this sample.
 
         Args:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from deploy.twin.device import READY, Device
-from deploy.twin.settings import Three, TwinSettings
+from deploy.twin.settings import TwinSettings
+from jaxmpc.law.vectors import Vector3
 
 VERSION = 24
 ROLE = 6
@@ -23,7 +24,7 @@ class ForceTorque(Device):
         super().__init__(8, "force", VERSION, ROLE, values, not settings.cold)
         self._mount, self._turns = np.array(settings.mount), settings.frame == "tool"
         self._seconds, self._until = settings.tare_s, -1.0
-        self._offset: Three = (0.0, 0.0, 0.0)
+        self._offset: Vector3 = (0.0, 0.0, 0.0)
         self._sum, self._samples = np.zeros(3), 0
 
     def set(self, prop: int, value: int, now: float) -> None:
@@ -34,7 +35,7 @@ class ForceTorque(Device):
         else:
             super().set(prop, value, now)
 
-    def advance(self, measured: Three, now: float) -> None:
+    def advance(self, measured: Vector3, now: float) -> None:
         """Take a sample of the force on the tissue [N], which a running tare averages."""
         if self.values[self.number["ERROR"]] != TARING:
             return
@@ -43,11 +44,11 @@ class ForceTorque(Device):
             x, y, z = (self._sum / self._samples).tolist()
             self._offset, self.values[self.number["ERROR"]] = (x, y, z), 0
 
-    def tared(self, measured: Three) -> Three:
+    def tared(self, measured: Vector3) -> Vector3:
         """Force on the tissue less what was tared [N]."""
         return (measured[0] - self._offset[0], measured[1] - self._offset[1], measured[2] - self._offset[2])
 
-    def reading(self, force: Three, orientation: np.ndarray) -> tuple[Three, int]:
+    def reading(self, force: Vector3, orientation: np.ndarray) -> tuple[Vector3, int]:
         """What it feels of its surroundings, −y in its own axes [N], and its flags.
 
         Args:
@@ -59,7 +60,7 @@ class ForceTorque(Device):
         x, y, z = self.turned(-np.array(force), orientation)
         return (x, y, z), BAD if max(abs(x), abs(y), abs(z)) >= LARGEST else 0
 
-    def turned(self, vector: np.ndarray, orientation: np.ndarray) -> Three:
+    def turned(self, vector: np.ndarray, orientation: np.ndarray) -> Vector3:
         """A vector in the world's axes, shape (3,), in the sensor's."""
         axes = orientation @ self._mount if self._turns else self._mount
         x, y, z = (vector @ axes).tolist()

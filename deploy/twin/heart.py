@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxmpc.law.vectors import Vector3
 from jaxmpc.world.heart import harmonics, rhythm
 
-Point = tuple[float, float, float]
 BLOCK = 64
 """Points computed at once: few, so that no tick of a real-time twin is long."""
 HORIZON = 600.0
@@ -68,14 +68,14 @@ class TwinHeart:
             self._displacement = self._rhythmic
         self._block, self._points = -1, [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
 
-    def at(self, instant: int) -> tuple[Point, Point]:
+    def at(self, instant: int) -> tuple[Vector3, Vector3]:
         """Displacement [m] and velocity [m/s] at an instant counted from 0."""
         block, within = divmod(instant, BLOCK)
         if block != self._block:
             self._block, self._points = block, self._computed(block)
         return self._points[within]
 
-    def _computed(self, block: int) -> list[tuple[Point, Point]]:
+    def _computed(self, block: int) -> list[tuple[Vector3, Vector3]]:
         t = np.arange(block * BLOCK, (block + 1) * BLOCK) * self._step
         position, velocity = self._displacement(t)
         grown = harmonics.fade_in(t, self._start, self._fade)[:, None]

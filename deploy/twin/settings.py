@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.law.vectors import Vector3, Vector4
 from jaxmpc.world import drive, friction, tissue
 from jaxmpc.world.arm import TOOL_MASS
 
-Three = tuple[float, float, float]
-Four = tuple[float, float, float, float]
-Rotation = tuple[Three, Three, Three]
+Rotation = tuple[Vector3, Vector3, Vector3]
 
 RHYTHMS = (
     "harmonics",
@@ -26,7 +25,7 @@ RHYTHMS = (
     "amplitude-drift",
 )
 """The seven peaks of the paper's Fig. 4, a heart at rest, and the rhythms of the published experiments."""
-HOME: Four = (0.0, -2.0, 0.0, 3.13)
+HOME: Vector4 = (0.0, -2.0, 0.0, 3.13)
 """Where the arm stands when it is switched on, libbarrett's home [rad]."""
 
 
@@ -50,7 +49,7 @@ class TwinSettings:
     """When the heart begins to move [s]."""
     fade: float = 1.0
     """Time in which its motion grows to full size [s]."""
-    posture: Four = (0.0, 0.7, 0.0, 2.2)
+    posture: Vector4 = (0.0, 0.7, 0.0, 2.2)
     """Joint angles at which the tip touches the resting heart [rad]."""
     gap: float = 0.02
     """How far above that the tip starts [m]; 0 starts in contact."""
@@ -58,11 +57,11 @@ class TwinSettings:
     """Masses and inertias of the links over the nominal ones [-]."""
     tool_mass: float = TOOL_MASS
     """Tool and sensor at the tip [kg]."""
-    coulomb: Four = (2.025, 2.25, 1.125, 0.66)
+    coulomb: Vector4 = (2.025, 2.25, 1.125, 0.66)
     """Coulomb friction of the joints [N m]."""
     presliding: float = friction.PRESLIDING
     """Deflection over which it builds up [rad]."""
-    viscous: Four = (1.5, 0.9, 0.5, 0.25)
+    viscous: Vector4 = (1.5, 0.9, 0.5, 0.25)
     """Viscous friction of the joints [N m s/rad]."""
     delay: int = 1
     """Samples from a torque frame to its action."""
@@ -70,13 +69,13 @@ class TwinSettings:
     """Physics steps per millisecond."""
     noise: float = 0.010
     """Of the force sensor, per axis and sample [N]."""
-    lsb: Three = (0.0061, 0.0061, 0.0122)
+    lsb: Vector3 = (0.0061, 0.0061, 0.0122)
     """Its resolution [N], before the int16/256 N of its frames."""
     lowpass_hz: float = 0.0
     """Its low-pass [Hz]; 0 is none."""
     beyond_sensor: float = 0.0
     """Mass beyond it, whose inertia and (until tared) weight it reads [kg]."""
-    bias: Three = (0.0, 0.0, 0.0)
+    bias: Vector3 = (0.0, 0.0, 0.0)
     """What it reads without force until it is tared [N]."""
     tare_s: float = 1.0
     """How long a tare takes [s]; its outputs are 0 meanwhile."""
@@ -86,9 +85,9 @@ class TwinSettings:
     """"world": the sensor keeps its direction, as in the simulator; "tool": it turns with the forearm."""
     counts: int = 4096
     """CTS, encoder counts per motor turn."""
-    ipnm: Four = (drive.IPNM,) * 4
+    ipnm: Vector4 = (drive.IPNM,) * 4
     """Torque units per newton metre of each motor [1/(N m)]."""
-    max_torque: Four = (4860.0, 4860.0, 4860.0, 4320.0)
+    max_torque: Vector4 = (4860.0, 4860.0, 4860.0, 4320.0)
     """MT, the pucks' torque cap [units]."""
     heartbeat_s: float = 0.1
     """Silence after which an active safety module falls idle [s]; the maker publishes none, OpenWAM says below 0.1."""

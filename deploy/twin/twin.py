@@ -18,8 +18,9 @@ from deploy.twin.faults import ENCODERS, NOT_FINITE, Distortion, Fault, parse
 from deploy.twin.force_torque import ForceTorque
 from deploy.twin.pucks import TORQUE, Puck
 from deploy.twin.safety_module import ESTOP, IDLE, SafetyModule
-from deploy.twin.settings import Four, Three, TwinSettings
+from deploy.twin.settings import TwinSettings
 from deploy.twin.world import Truth, TwinPhysics
+from jaxmpc.law.vectors import Vector3, Vector4
 
 MILLISECOND = 1_000_000
 """[ns]"""
@@ -133,12 +134,12 @@ class Twin:
         self.safety.press(button, self.now)
         self._follow_safety()
 
-    def carry(self, q: Four | None = None, seconds: float = 2.0) -> None:
+    def carry(self, q: Vector4 | None = None, seconds: float = 2.0) -> None:
         """Somebody carries the idle arm to joint angles [rad], by default above the heart, and holds it there."""
         self.world.place(q or self.world.posture, seconds)
         self._sample()
 
-    def force_hook(self, force: Three) -> Three:
+    def force_hook(self, force: Vector3) -> Vector3:
         """A force between a sensor's driver and a controller: itself, or NaN or infinity while such a fault lasts."""
         for fault in self._not_finite:
             if fault.active(self.now):
@@ -155,7 +156,7 @@ class Twin:
                 seen = faults.read(self.tick, (float(raw[i]),))
                 self._counts[i] = None if seen is None else round(seen[0])
         self.sensor.advance(self.world.measured, self.now)
-        self._force: Three | None = self.sensor.tared(self.world.measured)
+        self._force: Vector3 | None = self.sensor.tared(self.world.measured)
         if self._force_faults:
             self._force = self._force_faults.read(self.tick, self._force)  # type: ignore[assignment]  # three as before
 

@@ -19,7 +19,8 @@ from deploy.twin.compiled import friction_step, joint_torques
 from deploy.twin.contact import TwinContact
 from deploy.twin.force_sensor_model import ForceSensorModel
 from deploy.twin.heart import TwinHeart
-from deploy.twin.settings import HOME, Four, Three, TwinSettings
+from deploy.twin.settings import HOME, TwinSettings
+from jaxmpc.law.vectors import Vector3, Vector4
 from jaxmpc.world import drive, friction
 from jaxmpc.world.arm import mjcf, tip_at
 
@@ -36,21 +37,21 @@ class Truth(NamedTuple):
 
     time: float
     """[s]"""
-    q: Four
+    q: Vector4
     """Joint angles [rad]."""
-    qd: Four
+    qd: Vector4
     """[rad/s]"""
-    tip: Three
+    tip: Vector3
     """Position of the tip in the shoulder frame [m]."""
-    tip_velocity: Three
+    tip_velocity: Vector3
     """[m/s]"""
-    heart: Three
+    heart: Vector3
     """Displacement of the heart's surface [m]."""
-    force: Three
+    force: Vector3
     """Force on the tissue [N]."""
-    measured: Three
+    measured: Vector3
     """The same behind sensor and noise [N]."""
-    torque: Four
+    torque: Vector4
     """Joint torque of the motors in the last millisecond [N m]."""
     touching: bool
 
@@ -80,7 +81,7 @@ class TwinPhysics:
         """Joint angles above the heart [rad]."""
         self._gauge = ForceSensorModel(settings)
         self._instant = 0
-        self._acting: Four = (0.0, 0.0, 0.0, 0.0)
+        self._acting: Vector4 = (0.0, 0.0, 0.0, 0.0)
         self._pending = deque([self._acting] * settings.delay)
         self._held = True
         self.place(HOME if settings.cold else self.posture)
@@ -88,12 +89,12 @@ class TwinPhysics:
         self._sense()
 
     @property
-    def q(self) -> Four:
+    def q(self) -> Vector4:
         """Joint angles [rad]."""
         return self._q
 
     @property
-    def measured(self) -> Three:
+    def measured(self) -> Vector3:
         """What the force sensor reads of the force on the tissue, in the world's axes [N]."""
         return self._measured
 
@@ -103,20 +104,20 @@ class TwinPhysics:
         turned: np.ndarray = self._data.site_xmat[self._site].reshape(3, 3)
         return turned
 
-    def place(self, q: Four, seconds: float = 0.0) -> None:
+    def place(self, q: Vector4, seconds: float = 0.0) -> None:
         """Somebody carries the arm to joint angles [rad], in some seconds, and holds it until the next torque acts."""
         self._held = True
         self._way = [_between(self._q, q, k * TICK / seconds) for k in range(round(seconds / TICK), 0, -1)]
         if not self._way:
             self._hold(q)
 
-    def _hold(self, q: Four) -> None:
+    def _hold(self, q: Vector4) -> None:
         self._data.qpos[:], self._data.qvel[:] = q, 0.0
         self._bristles = friction.init(0.0)
         self._touch.begin(False)
         self._settle()
 
-    def advance(self, motor: Four, braked: tuple[bool, ...]) -> None:
+    def advance(self, motor: Vector4, braked: tuple[bool, ...]) -> None:
         """Advance by one millisecond.
 
         Args:
@@ -171,7 +172,7 @@ class TwinPhysics:
         self._tip, self._speed = _three(self._at), _three(self._jacobian @ self._data.qvel)
         self._surface, self._rate = self._heart.at(self._instant)
 
-    def _press(self, h: float) -> Three:
+    def _press(self, h: float) -> Vector3:
         return self._touch.press(self._tip, self._speed, self._surface, self._rate, h)
 
     def _sense(self) -> None:
@@ -196,7 +197,7 @@ def _model(settings: TwinSettings) -> Any:
     return compiled
 
 
-def _raised(posture: Four, gap: float) -> Four:
+def _raised(posture: Vector4, gap: float) -> Vector4:
     """The nearest joint angles with the tip so much higher [rad], by Gauss and Newton."""
     from jaxmpc.law.chain import pose, tip
     from jaxmpc.world.arm import chain
@@ -208,7 +209,7 @@ def _raised(posture: Four, gap: float) -> Four:
     return _four(q)
 
 
-def _between(begin: Four, end: Four, share: float) -> Four:
+def _between(begin: Vector4, end: Vector4, share: float) -> Vector4:
     """A point of a smooth way from one posture to another."""
     s = share * share * (3.0 - 2.0 * share)
     a, b, c, d = ((1.0 - s) * x + s * y for x, y in zip(begin, end, strict=True))
@@ -220,11 +221,11 @@ def _stop(angle: float, low: float, high: float) -> float:
     return STOP_STIFFNESS * (low - angle if angle < low else high - angle if angle > high else 0.0)
 
 
-def _three(values: Any) -> Three:
+def _three(values: Any) -> Vector3:
     a, b, c = values.tolist()
     return a, b, c
 
 
-def _four(values: Any) -> Four:
+def _four(values: Any) -> Vector4:
     a, b, c, d = values.tolist()
     return a, b, c, d

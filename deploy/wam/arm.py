@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from deploy.bus.bus import MOST_AT_ONCE, Bus
-from deploy.force.sensor import ForceSensor, Triple
+from deploy.force.sensor import ForceSensor
 from deploy.puck import properties
 from deploy.puck.codec import (
     BROADCAST,
@@ -20,6 +20,7 @@ from deploy.puck.codec import (
 from deploy.puck.frame import Frame
 from deploy.puck.pendant import Pendant, decode_pendant
 from deploy.wam.pucks import Pucks
+from jaxmpc.law.vectors import Vector3
 
 DOUBT: Final = 20
 """Cycles after a missing position in which it may still come; older ones would have stopped the arm anyway."""
@@ -50,7 +51,7 @@ class Reading(NamedTuple):
 
     counts: tuple[int | None, ...]
     position_age: tuple[int, ...]
-    force: Triple | None
+    force: Vector3 | None
     force_age: int
     force_flags: int
     safety_mode: int | None

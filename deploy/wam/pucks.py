@@ -10,9 +10,8 @@ from deploy.puck import properties
 from deploy.puck.codec import LARGEST_TORQUE, Units
 from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law.scalar import apply, apply_transposed
+from jaxmpc.law.vectors import Vector4
 from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
-
-Four = tuple[float, float, float, float]
 
 IPNM_RANGE: Final = (2000, 3500)
 """Torque units per N m that any source knows of, 2472 to 2755, and some room [1/(N m)] (wam.md §2.5)."""
@@ -83,9 +82,9 @@ class Pucks:
     """
 
     infos: tuple[PuckInfo, ...]
-    _angles: Callable[[Any], Four] = field(init=False, repr=False, compare=False)
-    _units: Callable[[Any], Four] = field(init=False, repr=False, compare=False)
-    _torque: Callable[[Any], Four] = field(init=False, repr=False, compare=False)
+    _angles: Callable[[Any], Vector4] = field(init=False, repr=False, compare=False)
+    _units: Callable[[Any], Vector4] = field(init=False, repr=False, compare=False)
+    _torque: Callable[[Any], Vector4] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         infos = tuple(sorted(self.infos, key=lambda info: info.pidx))
@@ -127,7 +126,7 @@ class Pucks:
         """The number that all of them know a property by: for P, T and MODE."""
         return self.infos[0].number(name)
 
-    def angles(self, counts: Sequence[float]) -> Four:
+    def angles(self, counts: Sequence[float]) -> Vector4:
         """Joint angles [rad] at the motors' counts."""
         return self._angles(counts)
 
@@ -148,6 +147,6 @@ class Pucks:
         a, b, c, d = self._units(torque)
         return floor(a), floor(b), floor(c), floor(d)
 
-    def torque(self, units: Sequence[int]) -> Four:
+    def torque(self, units: Sequence[int]) -> Vector4:
         """Joint torques [N m] that the motors give for puck units."""
         return self._torque(units)

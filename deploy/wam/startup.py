@@ -17,11 +17,12 @@ from deploy.puck.codec import GROUPS, PUCKS, SAFETY_MODULE, SENSOR, get
 from deploy.puck.pendant import decode_pendant
 from deploy.wam.arm import WamArm
 from deploy.wam.dialogue import NS, Clock, Dialogue
-from deploy.wam.pucks import Four, PuckInfo, Pucks
+from deploy.wam.pucks import PuckInfo, Pucks
 from jaxmpc.law.scalar import apply
+from jaxmpc.law.vectors import Vector4
 from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 
-HOME: Final[Four] = (0.0, -2.0, 0.0, 3.13)
+HOME: Final[Vector4] = (0.0, -2.0, 0.0, 3.13)
 """Joint angles of libbarrett's home position [rad]."""
 IGNORED_VELOCITIES: Final = 5
 """Entries of the safety module's velocity history that are void while positions jump (libbarrett)."""
@@ -220,7 +221,7 @@ def _home(talk: Dialogue, pucks: Pucks, home: Sequence[float], zero: Sequence[fl
     return [angle - error for angle, error in zip(home, apply(MOTOR_TO_JOINT, tuple(errors)), strict=True)]
 
 
-def _within_stops(angles: Four) -> None:
+def _within_stops(angles: Vector4) -> None:
     for joint, (angle, (low, high)) in enumerate(zip(angles, MECHANICAL_STOPS, strict=True), start=1):
         if not low - STOP_TOLERANCE <= angle <= high + STOP_TOLERANCE:
             said = f"joint {joint} says {angle:.2f} rad, beyond its stops at {low} and {high}"

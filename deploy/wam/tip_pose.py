@@ -12,29 +12,27 @@ from deploy.runtime.straightline import compile_straightline, functions
 from jaxmpc.law import chain as arm
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.scalar import apply, matmul
-
-Three = tuple[float, float, float]
-Four = tuple[float, float, float, float]
+from jaxmpc.law.vectors import Vector3, Vector4
 
 
 class TipKinematics(NamedTuple):
     """Of the arm at a sample, in the shoulder's frame."""
 
-    tip: Three
+    tip: Vector3
     """[m]"""
-    velocity: Three
+    velocity: Vector3
     """Of the tip [m/s]."""
-    axes: tuple[Three, Three, Three]
+    axes: tuple[Vector3, Vector3, Vector3]
     """Rotation from the tool's axes, rows."""
 
-    def turned(self, force: Three) -> Three:
+    def turned(self, force: Vector3) -> Vector3:
         """A force in the tool's axes, in those of the shoulder [N]."""
         x, y, z = force
         (a, b, c), (d, e, f), (g, h, i) = self.axes
         return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
 
-def tip_kinematics(chain: Chain) -> Callable[[Four, Four], TipKinematics]:
+def tip_kinematics(chain: Chain) -> Callable[[Vector4, Vector4], TipKinematics]:
     """A function of joint angles [rad] and velocities [rad/s].
 
     Args:

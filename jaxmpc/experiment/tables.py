@@ -29,7 +29,7 @@ Share = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
 Kilogram = Annotated[float, msgspec.Meta(ge=-1.0, le=4.0)]
 Torque = Annotated[float, msgspec.Meta(ge=0.0, le=200.0)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
-Joints = tuple[Torque, Torque, Torque, Torque]
+Torques = tuple[Torque, Torque, Torque, Torque]
 
 
 class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -76,17 +76,17 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Tool and sensor at the tip [kg]."""
     beyond_sensor: Annotated[float, msgspec.Meta(ge=0.0, le=4.0)] = 0.0
     """Part of it whose inertia the force sensor reads; its weight is tared [kg]."""
-    coulomb: Joints = (2.025, 2.25, 1.125, 0.66)
+    coulomb: Torques = (2.025, 2.25, 1.125, 0.66)
     """Coulomb friction of the joints [N m] (OWD; the other published row is 1.6, 0.53, 0.35, 0.63)."""
     presliding: Annotated[float, msgspec.Meta(ge=1e-5, le=0.1)] = 1e-3
     """Deflection at which it is fully there [rad] (prior)."""
-    viscous: Joints = (1.5, 0.9, 0.5, 0.25)
+    viscous: Torques = (1.5, 0.9, 0.5, 0.25)
     """Viscous friction of the joints [N m s/rad] (OWD; the other published row is 1.63, 2.372, 0.8554, 0.6153)."""
     compensation: Share = 0.0
     """Share of the friction that the controller compensates [-]."""
-    nominal_coulomb: Joints | None = None
+    nominal_coulomb: Torques | None = None
     """Coulomb friction of which it compensates that share [N m]; none is the true one."""
-    nominal_viscous: Joints | None = None
+    nominal_viscous: Torques | None = None
     """Viscous friction of which it compensates that share [N m s/rad]; none is the true one."""
     nominal_presliding: Annotated[float, msgspec.Meta(ge=1e-5, le=0.1)] | None = None
     """Deflection at which it believes friction to be fully there [rad]; none is the true one."""
@@ -98,7 +98,7 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Per motor turn; 0 is a perfect encoder."""
     torque_lsb: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 1.0 / drive.IPNM
     """Motor torque per unit of the command [N m]; 0 is a perfect one."""
-    torque_limit: tuple[Torque, Torque, Torque, Torque] = drive.TORQUE_LIMIT
+    torque_limit: Torques = drive.TORQUE_LIMIT
     """Largest torque of each motor [N m]."""
     cable_hz: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0
     """Cable mode of each joint against its locked motor [Hz] (prior 15–60); 0 is a rigid cable."""

@@ -14,10 +14,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from jaxmpc.law.friction_compensation import bristle
-
-Scalar = Any
-"""A float, a traced JAX scalar, a batch of either, or a recorded operation."""
-Joints = tuple[Scalar, Scalar, Scalar, Scalar]
+from jaxmpc.law.scalar import Scalar, Vector
 
 COULOMB = (2.7, 2.5, 1.5, 1.1)
 """Coulomb friction of a Barrett WAM, openwam's Dynamics.cc: the highest published [N m]."""
@@ -38,13 +35,13 @@ class Friction(NamedTuple):
     """Displacement z over which a reversal settles [rad]: four, or one for all."""
 
 
-def init(like: Scalar = 0.0) -> Joints:
+def init(like: Scalar = 0.0) -> Vector:
     """Four bristles at rest, in the form of `like`, a finite number or a batch."""
     zero = 0.0 * like
     return zero, zero, zero, zero
 
 
-def step(friction: Friction, s: Sequence[Scalar], v: Sequence[Scalar], h: Scalar, ops: Any) -> tuple[Joints, Joints]:
+def step(friction: Friction, s: Sequence[Scalar], v: Sequence[Scalar], h: Scalar, ops: Any) -> tuple[Vector, Vector]:
     """Advance the bristles, implicitly in s, and so stable and within [−1, 1] at any h.
 
         s⁺ = (s + h v / z) / (1 + h |v|_ε / z),   τ = F_c s⁺
