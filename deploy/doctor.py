@@ -94,7 +94,7 @@ def budget(joints: int, sensor: bool, rate: float) -> tuple[list[str], Finding]:
 
 
 def versions() -> list[Finding]:
-    """Of Python, of the packages and of the kernel."""
+    """Report the versions of Python, of the packages and of the kernel."""
     found = [Finding("ok", f"python {platform.python_version()}, {platform.system()} {platform.release()}")]
     for name, need in (("numpy", True), ("python-can", True), ("mujoco", False), ("jax", False)):
         try:

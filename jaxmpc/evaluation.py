@@ -61,7 +61,7 @@ class Designed(NamedTuple):
     contacts: Contact
     """(controllers, stiffness)"""
     residual: Any
-    """Of the Riccati equation, (controllers,) [-]."""
+    """Residual of the Riccati equation, (controllers,) [-]."""
 
 
 def designed(params: Params, scene: ScenarioData, *, ideal: bool) -> Designed:

@@ -35,9 +35,9 @@ class SweepTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_ROWS)] | None = None
     """Size of a random sample."""
     seed: Seed | None = None
-    """Of a random sample."""
+    """Seed of a random sample."""
     precision: Precision = "float32"
-    """Of the time stepping; design and margins are always float64."""
+    """Precision of the time stepping; design and margins are always float64."""
 
 
 @dataclass(frozen=True)

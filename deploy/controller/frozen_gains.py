@@ -1,4 +1,4 @@
-"""The gains of a frozen controller: checked where they come from, plain where they go."""
+"""Gains of a frozen controller: shapes and numbers are checked when read, then plain floats are handed to the law."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ SHAPES: Mapping[str, tuple[int | None, ...]] = {
     "phi": (2,), "gamma": (2,), "K": (None,), "L": (3,), "input_gain": (),
     "mpc_ref": (None,), "mpc_x": (2,), "mpc_u": (),
 }  # fmt: skip
-"""Of every gain; None stands for any length but 0. Only a guarded controller has a guard besides."""
+"""Shapes of the gains; None stands for any length but 0. Only a guarded controller has a guard besides."""
 
 
 def checked(gains: Gains) -> Gains:

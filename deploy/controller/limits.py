@@ -13,7 +13,7 @@ Ranges = tuple[Range, Range, Range, Range]
 Box = tuple[Range, Range, Range]
 
 MECHANICAL_STOPS: Ranges = ((-2.6, 2.6), (-2.0, 2.0), (-2.8, 2.8), (-0.9, 3.15))
-"""Of the joints [rad] (WAM User's Manual; J4 so that it contains home)."""
+"""Mechanical stops of the joints [rad] (WAM User's Manual; J4 so that it contains home)."""
 REACH = 1.0
 """Radius that contains all the tip can reach [m] (Barrett)."""
 

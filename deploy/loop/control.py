@@ -21,7 +21,7 @@ NONE: Vector3 = (0.0, 0.0, 0.0)
 STIFFNESS, INTEGRAL, DAMPING = 900.0, 6750.0, 67.5
 """k_p [1/s²], k_i [1/s³], k_d [1/s]: poles near 22 rad/s, slow beside the sampling, fast beside what is asked for."""
 LARGEST_ERROR = 0.02
-"""Of e and of its integral's share in a [m]: a servo that is held back must not pull ever harder."""
+"""Bound on e and on its integral's share in a [m]: a servo that is held back must not pull ever harder."""
 
 
 @dataclass(frozen=True)

@@ -169,7 +169,7 @@ class Loop:
         arm.bus.send(frame)
         if self._log is not None:
             self._log(frame, now, True)
-        # Idle means idle: whoever is not driven must not stay in torque mode with the last word unheard.
+        # An undriven puck left in torque mode would go on with the last command it heard.
         if (
             done.task is Task.OFF
             and done.situation.state is OperatingState.FAULT

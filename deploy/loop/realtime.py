@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
 PRIORITY = 45
-"""Of the controller: below the kernel's interrupt threads (50), which must be able to fetch its frames."""
+"""Priority of the controller: below the kernel's interrupt threads (50), which must be able to fetch its frames."""
 WATCHDOG_PRIORITY = 48
 """Above the controller, so that a controller that never sleeps cannot keep its watchdog from acting."""
 SPIN_NS = 100_000

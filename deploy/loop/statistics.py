@@ -40,12 +40,12 @@ class Histogram:
 
     @property
     def mean(self) -> float:
-        """Of all times so far [µs]."""
+        """Mean of all times so far [µs]."""
         return self._mean
 
     @property
     def stdev(self) -> float:
-        """Of the population [µs]."""
+        """Standard deviation of the population [µs]."""
         return sqrt(self._squares / self.count) if self.count else 0.0
 
     def quantile(self, share: float) -> float:

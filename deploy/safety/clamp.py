@@ -29,7 +29,7 @@ class Bounds(NamedTuple):
     """Limits, drawn in by what rounding to puck units may change."""
 
     torque: Vector4
-    """Of the joints [N m]; of J1 and J4 also by their own motors."""
+    """Largest torques of the joints [N m]; those of J1 and J4 also by their own motors."""
     step: Vector4
     """Largest change of a joint's torque in a cycle [N m]."""
     motor2: float

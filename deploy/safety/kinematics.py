@@ -26,7 +26,7 @@ Vector = tuple[Any, ...]
 
 
 class TipMotion(NamedTuple):
-    """Of the arm at an instant."""
+    """Motion of tip and elbow at an instant."""
 
     tip: Vector3
     """Place of the tip in the shoulder's frame [m]."""
@@ -35,7 +35,7 @@ class TipMotion(NamedTuple):
     elbow_speed: float
     """[m/s]"""
     least_singular_value: float
-    """Of the tip's 3×4 Jacobian [m/rad]."""
+    """Least singular value of the tip's 3×4 Jacobian [m/rad]."""
 
 
 def tool_length_checked(tool_length: Any) -> float:
@@ -108,7 +108,7 @@ def _speed(jacobian: list[Vector], qd: Vector) -> Any:
 
 
 def least_eigenvalue(matrix: tuple[float, ...]) -> float:
-    """Of a symmetric 3×3 matrix in closed form (Smith, Comm. ACM 4, 1961).
+    """Compute the least eigenvalue of a symmetric 3×3 matrix in closed form (Smith, Comm. ACM 4, 1961).
 
     Exact to about 1e-15 of the largest, to 1e-8 where the two least are equal.
 

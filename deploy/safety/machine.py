@@ -24,7 +24,7 @@ on into the tissue, with 29 N where braking leaves 9 N (a force 20 ms old, on a 
 
 
 class OperatingState(StrEnum):
-    """Of the arm."""
+    """State in which the arm is driven."""
 
     IDLE = "idle"
     ARMED = "armed"
@@ -54,7 +54,7 @@ class Observations(NamedTuple):
     hazard: Reason = Reason.NONE
     """The arm cannot or must not be driven: e-stop, pendant, puck, bus, a stall, a refused frame."""
     position_age: int = 0
-    """Of the oldest position [cycles]."""
+    """Age of the oldest position [cycles]."""
     danger: Reason = Reason.NONE
     """The arm is beyond a limit: holding it is still right, moving on is not."""
     doubt: Reason = Reason.NONE
@@ -84,7 +84,7 @@ class SafetyState(NamedTuple):
     cycles: int = 0
     """Spent in this state."""
     touched: int = 0
-    """Of them the last in a row that touched."""
+    """Cycles in a row, up to now, in which the tip touched."""
     let_go: bool = False
     """Whether the arm has been let go, once and for all."""
 

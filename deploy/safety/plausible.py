@@ -139,7 +139,7 @@ class EncoderState(NamedTuple):
     age: tuple[int, int, int, int] = (0, 0, 0, 0)
     """Cycles since then."""
     speed: Vector4 = (0.0, 0.0, 0.0, 0.0)
-    """Of the motors before they stood still [rad/s]."""
+    """Speeds of the motors before they stood still [rad/s]."""
     still: tuple[int, int, int, int] = (0, 0, 0, 0)
     """Samples in a row with this value, less one."""
 

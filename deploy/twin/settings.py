@@ -34,7 +34,7 @@ class TwinSettings:
     """Plain data; everything random is drawn from `seed`."""
 
     stiffness: float = 810.0
-    """Of the tissue [N/m]."""
+    """Stiffness of the tissue [N/m]."""
     tissue: str = "elastic"
     """One of `jaxmpc.world.tissue.KINDS`."""
     attached: bool = True
@@ -68,7 +68,7 @@ class TwinSettings:
     substeps: int = 2
     """Physics steps per millisecond."""
     noise: float = 0.010
-    """Of the force sensor, per axis and sample [N]."""
+    """Noise of the force sensor, per axis and sample [N]."""
     lsb: Vector3 = (0.0061, 0.0061, 0.0122)
     """Its resolution [N], before the int16/256 N of its frames."""
     lowpass_hz: float = 0.0
@@ -94,7 +94,7 @@ class TwinSettings:
     cold: bool = False
     """Just switched on: at home, pucks in reset, positions lost; else homed, awake, above the heart."""
     bit_rate: float = 0.0
-    """Of the bus [bit/s], for replies that take their time on the wire; 0 sends them at once."""
+    """Bit rate of the bus [bit/s], for replies that take their time on the wire; 0 sends them at once."""
     seed: int = 0
     faults: tuple[str, ...] = ()
     """See `deploy.twin.faults`."""

@@ -17,7 +17,7 @@ from deploy.puck.frame import Frame
 
 QUIET_S = 0.1
 _LONGEST = 4096
-"""Of what has no end yet [bytes]."""
+"""Longest message that may still lack its end [bytes]."""
 
 
 class Socketcand:

@@ -27,9 +27,9 @@ from jaxmpc.world.arm import mjcf, tip_at
 TICK = 1e-3
 """[s]"""
 WINDING, TORQUE_CONSTANT = 3.473, 0.457
-"""Of the motors [Ω] and [N m/A] (Barrett's wiki)."""
+"""Resistance and torque constant of the motors [Ω] and [N m/A] (Barrett's wiki)."""
 STOP_STIFFNESS = 3000.0
-"""Of the rubber at the joints' ends [N m/rad] (chosen here)."""
+"""Stiffness of the rubber at the joints' ends [N m/rad] (chosen here)."""
 
 
 class Truth(NamedTuple):

@@ -16,7 +16,7 @@ from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 IPNM_RANGE: Final = (2000, 3500)
 """Torque units per N m that any source knows of, 2472 to 2755, and some room [1/(N m)] (wam.md §2.5)."""
 COUNTS_PER_TURN: Final = (4096, 40960)
-"""Of the motor encoders, magnetic and old optical ones (wam.md §2.6)."""
+"""Counts of a motor encoder's turn, magnetic and old optical ones (wam.md §2.6)."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Pucks:
 
     @property
     def nodes(self) -> tuple[int, ...]:
-        """Of the motors 1 to 4."""
+        """Node identifiers of the motors 1 to 4."""
         return tuple(info.node for info in self.infos)
 
     @property

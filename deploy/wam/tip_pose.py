@@ -16,12 +16,12 @@ from jaxmpc.law.vectors import Vector3, Vector4
 
 
 class TipKinematics(NamedTuple):
-    """Of the arm at a sample, in the shoulder's frame."""
+    """Place and velocity of the tip at a sample, in the shoulder's frame."""
 
     tip: Vector3
     """[m]"""
     velocity: Vector3
-    """Of the tip [m/s]."""
+    """Velocity of the tip [m/s]."""
     axes: tuple[Vector3, Vector3, Vector3]
     """Rotation from the tool's axes, rows."""
 

@@ -31,7 +31,7 @@ class AxisSignals(NamedTuple):
     force_ref: Float[Array, "steps ahead"]
     score: Array
     acceleration: Float[Array, " steps"] | None = None
-    """Of the tip by what else acts on it, such as friction [m/s²]; None costs nothing."""
+    """Acceleration of the tip by what else acts on it, such as friction [m/s²]; None costs nothing."""
 
 
 class Sample(NamedTuple):

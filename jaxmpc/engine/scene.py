@@ -38,7 +38,7 @@ class ScenarioData(NamedTuple):
 
     stiffness: Any
     signals: AxisSignals | ArmSignals
-    """Of the linear world with the axes first, of the arm with the motions first."""
+    """Signals of the linear world with the axes first, of the arm with the motions first."""
     lsb: Any
     robot: Robot | None
     T_s: Any

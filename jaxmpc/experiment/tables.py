@@ -50,13 +50,13 @@ class TissueSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     attached: bool = True
     """Whether it holds the tip, as in the paper; else contact can be lost."""
     viscosity: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 3.0
-    """Of "kelvin-voigt" [N s/m]."""
+    """Viscosity of "kelvin-voigt" [N s/m]."""
     relaxing: Annotated[float, msgspec.Meta(ge=0.0, le=0.95)] = 0.25
     """Share of the stiffness that relaxes in "standard-linear" [-]."""
     time_constants: tuple[Positive, Positive] = (0.1, 1.0)
-    """Of its two branches [s]."""
+    """Time constants of its two branches [s]."""
     dissipation: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.5
-    """Of "hunt-crossley" [s/m]."""
+    """Dissipation of "hunt-crossley" [s/m]."""
     changes: tuple[Change, ...] = ()
     """Changes of stiffness under way, in order of time."""
 

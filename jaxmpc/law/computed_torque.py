@@ -52,7 +52,7 @@ class JointTorque(NamedTuple):
     """Joint torques τ [N m]."""
     jacobian: Matrix
     factors: Any
-    """Of the nominal mass matrix."""
+    """LDLᵀ factors of the nominal mass matrix."""
 
 
 def tip_velocity(chain: Chain, q: Vector, qd: Vector, ops: Any) -> Vector:

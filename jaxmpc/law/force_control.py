@@ -24,9 +24,9 @@ class ControllerState(NamedTuple):
     axes: tuple[AxisState, AxisState, AxisState]
     """Cascades of X, Y, Z."""
     bristles: Bristles | None
-    """Of the friction that is cancelled; None cancels none."""
+    """Deflections of the friction that is cancelled; None cancels none."""
     guard: gain_backoff.BackoffState | None = None
-    """Of what takes the gain back; None takes none."""
+    """State of the gain back-off; None where the gain is never taken back."""
 
 
 class Command(NamedTuple):

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from jaxmpc.law.scalar import Scalar, Vector, sub
 
 CORNER = 75.0
-"""Of each stage of both filters, 12 Hz [rad/s]: a heart's motion has ended, the modes of cables begin at 15 Hz."""
+"""Corner of both filters' stages, 12 Hz [rad/s]: a heart's motion has ended, the modes of cables begin at 15 Hz."""
 MEMORY = 0.02
 """Time constant of the mean squares [s]."""
 LIMIT = 0.3

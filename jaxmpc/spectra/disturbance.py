@@ -23,14 +23,14 @@ _NEIGHBOURHOOD = 20
 _WANDER = 0.75
 """How far the true frequency may be from the bin of its maximum [bins]; two peaks never meet."""
 _ITERATIONS = 50
-"""Of the fit at most; a few are enough, since it begins within a bin."""
+"""Steps of the fit at most; a few are enough, since it begins within a bin."""
 
 
 class PowerSpectrum(NamedTuple):
     """Power spectral density of a record."""
 
     frequency: np.ndarray
-    """Of the bins, shape (bins,) [Hz]."""
+    """Frequencies of the bins, shape (bins,) [Hz]."""
     density: np.ndarray
     """Per axis, one-sided, shape (axes, bins) [N²/Hz]."""
 

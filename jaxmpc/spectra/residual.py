@@ -43,7 +43,7 @@ class Responses(NamedTuple):
 
 
 Answer = Callable[[Gains, Contact, Any], Responses]
-"""Of a controller, a world and angles θ [rad]."""
+"""Responses of a controller in a world at angles θ [rad]."""
 
 
 class Parts(NamedTuple):

@@ -10,7 +10,7 @@ class SensorModel(NamedTuple):
     """Constants; each scalar may be a batch."""
 
     pole: Scalar
-    """Of its low-pass [-]; 0 passes everything."""
+    """Pole of its low-pass [-]; 0 passes everything."""
     lsb: Vector
     """Least significant bit per axis [N]; 0 is a perfect one."""
     tool_mass: Scalar

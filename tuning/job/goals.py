@@ -19,7 +19,7 @@ MARGINS: Mapping[str, str] = {
 }
 """Margins that may be goals, and their units: M_s is a ceiling, the others are floors."""
 OVERSHOOT = "overshoot"
-"""Of the linear loop's answer to a step of the reference, worst tissue, relative to the step [-]."""
+"""Overshoot of the linear loop after a step of the reference, worst tissue, relative to the step [-]."""
 PEAK = "peak_to_peak"
 """Where the names of those goals begin that only runs in time can see."""
 _MEASURED = {"rms": "N", PEAK: "N", "effort": "m/s²", "chatter": "m/s²"}

@@ -25,7 +25,7 @@ RHYTHMS = (
 )
 """The experiment's own motion, the rhythms of `world.rhythm`, and two events of the ventilation."""
 STREAM = 7
-"""Of the random numbers of a scenario, apart from those of its motion and noise."""
+"""Stream of the random numbers of a scenario, apart from those of its motion and noise."""
 EVENT_AFTER = 0.2
 """Where in the scored part a rate step, hold or cough begins if it would come too late otherwise [-]."""
 

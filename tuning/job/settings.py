@@ -50,9 +50,9 @@ class TuneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     searched: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 64
     """Scenarios among which it is sought."""
     learning_rate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.4
-    """Of Adam, in units of the parameters' scales."""
+    """Step length of Adam, in units of the parameters' scales."""
     precision: Literal["float64", "float32"] = "float64"
-    """Of the time stepping. Float64 is also the faster one on a CPU: adjoints of float32 end in subnormals."""
+    """Precision of the time stepping. Float64 is also faster on a CPU: adjoints of float32 end in subnormals."""
     diagonals: tuple[Literal["lam", "delta"], ...] = ()
     """Free parameters of which each diagonal entry is tuned by itself."""
 

@@ -43,7 +43,7 @@ class Data(NamedTuple):
 
     scene: ScenarioData
     spectra: Any
-    """Of the scenarios, stacked: then no time is stepped. Else None."""
+    """Spectra of the scenarios, stacked: then no time is stepped. Else None."""
     correction: Metrics | None
     """Factors on what the spectra say, (starts, stiffness, scenarios, 3); on the RMS for what they do not see. None
     corrects nothing."""
@@ -58,7 +58,7 @@ class Data(NamedTuple):
     judged_at: Any
     """Stiffnesses at which margins are judged [N/m]."""
     reference: Metrics
-    """Of the start point, (stiffness, scenarios, 3); for goals that are ratios."""
+    """Metrics of the start point, (stiffness, scenarios, 3); for goals that are ratios."""
 
 
 def judged_contact(K_s: Any, K2: Any, scene: ScenarioData, ideal: bool) -> Contact:

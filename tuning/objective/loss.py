@@ -53,7 +53,7 @@ class Judged(NamedTuple):
     soft: dict[str, Array]
     """Normalised, (starts, stiffness, scenarios, 1 or 3) [-]."""
     risk: Any
-    """Of the soft goals [-]."""
+    """Risk over the scenarios of the soft goals [-]."""
     hard: list[Array]
     """Hard goals on the runs at their worst [-]."""
 

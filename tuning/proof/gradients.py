@@ -31,7 +31,7 @@ class Slope(NamedTuple):
     value: float
     """[-]; NaN where unstable."""
     gradient: Float[np.ndarray, " size"]
-    """Of its logarithm, per unconstrained number."""
+    """Gradient of its logarithm, per unconstrained number."""
     beside: Float[np.ndarray, " others"]
     """Its values at the other vectors."""
 

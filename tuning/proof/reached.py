@@ -87,6 +87,6 @@ def verdict(result: TuneResult) -> str:
 
 
 def _cells(result: TuneResult, which: int) -> Metrics:
-    """Of one controller in the scenarios that count, each field (stiffness, scenarios, 3)."""
+    """Select one controller's metrics in the scenarios that count, each field (stiffness, scenarios, 3)."""
     cells: Metrics = jax.tree.map(lambda field: np.swapaxes(field[which][kept(result)], 0, 1), result.heldout)
     return cells

@@ -16,7 +16,7 @@ from tuning.proof.gradients import SCORE, Slope, on_tissue, slopes
 
 
 class Sensitivities(NamedTuple):
-    """Of the tuned controller, on each tissue as if there were no other."""
+    """Sensitivities of the tuned controller, on each tissue as if there were no other."""
 
     level: Level
     """Where they are taken: the last one."""

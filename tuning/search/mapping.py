@@ -38,7 +38,7 @@ PATIENCE = 8
 SPREAD = 0.3
 """Standard deviation, per unconstrained number, of where a search on the corrected spectra begins about its z₀."""
 STREAM = 9
-"""Of its random numbers, apart from those of starts and scenarios."""
+"""Stream of its random numbers, apart from those of starts and scenarios."""
 
 
 class Measured(NamedTuple):
@@ -48,7 +48,7 @@ class Measured(NamedTuple):
     loss: Float[np.ndarray, " points"]
     """On the last level [-]; NaN where the heart was not held."""
     correction: Metrics
-    """Of the spectra, (points, stiffness, scenarios, 3)."""
+    """Correction of the spectra, (points, stiffness, scenarios, 3)."""
 
 
 def refine(

@@ -38,9 +38,9 @@ class Schedule(NamedTuple):
     """What changes from look to look."""
 
     widths: np.ndarray
-    """Of the horizons' mask [samples]."""
+    """Widths of the horizons' mask [samples]."""
     rates: np.ndarray
-    """Of learning."""
+    """Learning rates, one a step."""
     polish: int
     """The look at which polishing begins."""
     patience: int = PATIENCE

@@ -15,7 +15,7 @@ from tuning.proof.heldout import versus
 from tuning.search.state import SearchState
 
 FIRST_SEED = 1_000_000
-"""Of the scenarios searched; held-out ones among them are left out."""
+"""First seed of the scenarios searched; held-out ones among them are left out."""
 NEWS = 0.01
 """How much worse than the worst in training a scenario must be to be worth adding [-]."""
 

@@ -33,7 +33,7 @@ from tuning.job.scenarios import Rhythm, Scenarios, scenario
 from tuning.trials.program import block_program
 
 DURATION, SETTLE = 8.0, 2.0
-"""Of a trial, and what is not judged of it [s]: ten beats, three breaths, and whatever event the rhythm has."""
+"""Length of a trial, and what is not judged of it [s]: ten beats, three breaths, and whatever event the rhythm has."""
 LARGEST_ERROR = 2.0
 """|e| from which on a trial counts as unstable [N]."""
 POOL, COPIES = 48, 15
@@ -45,7 +45,7 @@ FIRST_SEED = 10_000_000
 MOST = FIRST_SEED - 1
 """Largest number of trials."""
 STREAM = 8
-"""Of the random numbers of a trial, apart from those of its scenario."""
+"""Stream of the random numbers of a trial, apart from those of its scenario."""
 
 
 class Spread(NamedTuple):
@@ -132,9 +132,9 @@ class Outcomes(NamedTuple):
     when: np.ndarray
     """When the run diverged or the tip left the tissue; NaN where neither [s]."""
     spectral_radius: np.ndarray
-    """Of the linear loop [-]."""
+    """Spectral radius of the linear loop [-]."""
     rms: np.ndarray
-    """Of the residual after 2 s, (trials, controllers, 3) [N]; NaN where the run diverged."""
+    """RMS of the residual after 2 s, (trials, controllers, 3) [N]; NaN where the run diverged."""
     peak_error: np.ndarray
     """Largest |e| after 2 s, the same [N]."""
 

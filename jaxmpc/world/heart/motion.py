@@ -28,7 +28,7 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     phases: Literal["table", "random"] = "table"
     """Phases of the harmonics: the table's, or drawn from `seed`."""
     seed: Seed = 0
-    """Of the phases, and of all that a rhythm draws."""
+    """Seed of the phases, and of all that a rhythm draws."""
     file: str = ""
     """A recording, CSV or npz; relative to the experiment's file."""
     unit: Literal["m", "mm"] = "m"
