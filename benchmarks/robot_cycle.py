@@ -17,7 +17,7 @@ from deploy.bus.bus import Bus
 from deploy.controller.artifact import load
 from deploy.loop.cycle import CycleResult, OperatorCommand
 from deploy.loop.session import Options, Session
-from deploy.reference.stream import ramps
+from deploy.reference.segments import from_words
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from deploy.twin.lockstep import LockstepBus, LockstepClock
@@ -51,7 +51,7 @@ def main() -> int:
     args = parser.parse_args()
     twin = Twin(TwinSettings(gap=0.012, start=3.5, frame="tool"))
     clock = LockstepClock(twin)
-    options = Options(ramps("0,0,-5@2", rate=5.0, largest=10.0), turns=True, tare=False)
+    options = Options(from_words("0,0,-5@2", rate=5.0, largest=10.0), turns=True, tare=False)
     artifact = load(args.artifact) if args.artifact else made.arm_artifact()
     session = Session(artifact, Bus(LockstepBus(clock), clock.now), clock, options, lambda sentence: None)
     parts = {

@@ -32,7 +32,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument("artifact", type=Path, help="a controller frozen for the arm")
     wanted = parser.add_argument_group("wanted force")
-    help_text = "X,Y,Z [N], 'ramps:X,Y,Z@RATE hold@S …', a file t,x,y,z, or - for lines on standard input (-5 N in Z)"
+    help_text = (
+        "X,Y,Z [N], 'ramps:X,Y,Z@RATE hold@S sweep@X,Y,Z@HZ@HZ@S …', an experiment's TOML file, a file t,x,y,z, "
+        "or - for lines on standard input (-5 N in Z)"
+    )
     wanted.add_argument("--reference", default="ramps:0,0,-5@2", help=help_text)
     wanted.add_argument("--rate", type=float, default=5.0, metavar="N/S", help="fastest change of it (5)")
     wanted.add_argument("--duration", type=float, default=30.0, metavar="S", help="time in contact (30)")
@@ -230,7 +233,7 @@ def _options(args: argparse.Namespace, artifact: "Artifact") -> "Options":
     from deploy.force.jr3 import Jr3, open_comedi
     from deploy.loop.control import Contacting
     from deploy.loop.session import Options, largest_wanted
-    from deploy.reference.stream import from_text
+    from deploy.reference.parse import from_text
 
     contacting = Contacting(
         approach_speed=1e-3 * args.approach_speed,

@@ -11,7 +11,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from deploy.reference.stream import Source, Stream
+from deploy.reference.sources import Source
+from deploy.reference.stream import Stream
 from deploy.runtime.arm import ArmRuntime
 from deploy.safety.machine import Task
 from jaxmpc.law.vectors import Vector3, Vector4

@@ -20,7 +20,7 @@ from deploy.loop.control import Contacting, Controller
 from deploy.loop.cycle import Cycle, CycleResult, OperatorCommand
 from deploy.loop.loop import REASONS, STATES, Clock, Loop, RunResult, Watching
 from deploy.loop.statistics import Statistics
-from deploy.reference.stream import Source
+from deploy.reference.sources import Source
 from deploy.runtime.arm import ArmRuntime
 from deploy.safety.clamp import Clamp
 from deploy.safety.machine import SafetyState

@@ -1,12 +1,15 @@
-"""Wanted force over time: holds, ramps and frequency sweeps in a row."""
+"""The table [reference]: wanted force over time, as holds, ramps and frequency sweeps in a row."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 import numpy as np
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e4)]
-Newton = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
+from jaxmpc.law.reference import DEFAULT, FASTEST, LARGEST, LONGEST, Piece, force_at, on_ramp, place
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=LONGEST)]
+Newton = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
+Frequency = Annotated[float, msgspec.Meta(gt=0.0, le=FASTEST)]
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="hold", tag_field="kind"):
@@ -26,23 +29,27 @@ class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="sweep"
     """Add `amplitude` [N] × a sine whose frequency goes linearly from `start` to `stop` [Hz] in `duration` [s]."""
 
     amplitude: Newton
-    start: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)]
-    stop: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)]
+    start: Frequency
+    stop: Frequency
     duration: Positive
 
 
 Segment = Hold | Ramp | Sweep
-Axis = Literal["x", "y", "z"]
 
 
 class Reference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Wanted force on the tissue per axis: a constant [N], or segments that start from 0 N."""
 
-    x: Newton | tuple[Segment, ...] = 0.0
-    y: Newton | tuple[Segment, ...] = 0.0
-    z: Newton | tuple[Segment, ...] = -5.0
+    x: Newton | tuple[Segment, ...] = DEFAULT["x"]
+    y: Newton | tuple[Segment, ...] = DEFAULT["y"]
+    z: Newton | tuple[Segment, ...] = DEFAULT["z"]
     preview: bool = False
     """Whether the controller knows the reference along H_p; the paper's does not."""
+
+
+def placed(axis: float | tuple[Segment, ...]) -> tuple[Piece, ...]:
+    """Pieces of `jaxmpc.law.reference` that an axis stands for."""
+    return place(msgspec.to_builtins(axis))
 
 
 def wanted_force(axis: float | tuple[Segment, ...], t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -55,27 +62,5 @@ def wanted_force(axis: float | tuple[Segment, ...], t: np.ndarray) -> tuple[np.n
     Returns:
         Force, shape (steps,) [N], and a mask of the ramps; after the last segment the force is held.
     """
-    if isinstance(axis, float | int):
-        return np.full(len(t), float(axis)), np.zeros(len(t), bool)
-    force, ramps = np.zeros(len(t)), np.zeros(len(t), bool)
-    level, begin = 0.0, 0.0
-    for segment in axis:
-        since = t - begin
-        match segment:
-            case Hold():
-                duration = np.inf if segment.duration is None else segment.duration
-                value = np.full(len(t), level)
-            case Ramp():
-                duration = abs(segment.to - level) / segment.rate
-                value = level + np.sign(segment.to - level) * segment.rate * since
-                ramps |= (since >= 0.0) & (since < duration)
-                level = segment.to
-            case Sweep():
-                duration = segment.duration
-                rate = (segment.stop - segment.start) / duration
-                value = level + segment.amplitude * np.sin(2.0 * np.pi * (segment.start + 0.5 * rate * since) * since)
-        inside = (since >= 0.0) & (since < duration)
-        force[inside] = value[inside]
-        begin += duration
-    force[t >= begin] = level
-    return force, ramps
+    pieces = placed(axis)
+    return force_at(pieces, t, np), on_ramp(pieces, t, np)

@@ -2,12 +2,17 @@ import math
 import os
 import random
 import time
-from itertools import pairwise
+from importlib import resources
+from itertools import pairwise, product
 
+import numpy as np
 import pytest
 
-from deploy.reference import stream as reference
-from deploy.reference.stream import Constant, Lines, Stream, Table, from_text
+from deploy.reference import parse
+from deploy.reference.parse import from_text
+from deploy.reference.segments import from_table
+from deploy.reference.sources import Constant, Lines, Table
+from deploy.reference.stream import Stream
 from jaxmpc.files.errors import InputError
 
 T_S = 1e-3
@@ -100,9 +105,86 @@ def test_fig_3b_needs_no_more_than_its_ramps():
     assert [table.wanted(t)[2] for t in (0.5, 1.0, 6.0, 8.0, 9.5, 20.0)] == [1.0, 2.0, 2.0, -2.0, -5.0, -5.0]
 
 
+def test_a_sweep_stands_on_the_force_reached_and_leaves_it_there():
+    source = from_text("ramps:0,0,-5@5 sweep@0,1,2@0.25@1@4 hold@1", rate=20.0)
+    assert source.wanted(1.0) == (0.0, 0.0, -5.0)
+    since = 1.5
+    sine = math.sin(2.0 * math.pi * (0.25 + 0.5 * 0.1875 * since) * since)
+    assert source.wanted(1.0 + since) == pytest.approx((0.0, sine, -5.0 + 2.0 * sine), abs=1e-12)
+    assert source.wanted(9.0) == (0.0, 0.0, -5.0)
+    assert source.notes() == ["reference: ended at 6 s, its last force was held"]
+
+
+@pytest.mark.parametrize("name", ["table-1", "figure-3", "figure-3-wam", "table-1-wam"])
+def test_an_experiments_table_is_flown_as_it_is_simulated(name):
+    pytest.importorskip("jax")
+    from jaxmpc import Experiment
+
+    path = resources.files("jaxmpc.experiment") / "published" / f"{name}.toml"
+    source = from_text(str(path), rate=20.0)
+    simulated = Experiment.published(name).signals.force_ref
+    flown = [source.wanted(1e-3 * k) for k in range(len(simulated))]
+    np.testing.assert_allclose(flown, simulated, rtol=0.0, atol=1e-12)
+
+
+def test_the_robot_knows_the_segments_of_the_experiments_and_their_bounds():
+    msgspec = pytest.importorskip("msgspec")
+    from jaxmpc.experiment.reference import Reference
+
+    wrong, right = [-1.0, 0.0, 0.5, 100.0, 101.0, 500.0, 501.0, 1e4, 1.1e4, True, "1"], 0
+    kinds = {"hold": ["duration"], "ramp": ["to", "rate"], "sweep": ["amplitude", "start", "stop", "duration"]}
+    for kind, names in kinds.items():
+        for name, value in product([*names, "typo"], wrong):
+            segment = {"kind": kind, **dict.fromkeys(names, 1.0), name: value}
+            try:
+                msgspec.convert({"z": [segment]}, Reference)
+                allowed = True
+            except msgspec.ValidationError:
+                allowed = False
+            try:
+                from_table({"z": [segment]}, rate=1e9, largest=1e9)
+            except InputError:
+                assert not allowed, segment
+            else:
+                assert allowed, segment
+                right += 1
+    assert right > 30
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("[motion]", r"a table \[reference\]"),
+        ("reference = 1", r"a table \[reference\]"),
+        ("[reference]\nzz = 1", "zz"),
+        ("[reference]\nz = -11", "at most 10 N"),
+        ("[reference]\nz = nan", r"a number in \[-100, 100\]"),
+        ('[reference]\nz = [{kind = "romp"}]', "Did you mean 'ramp'"),
+        ('[reference]\nz = ["ramp"]', "a known kind"),
+        ('[reference]\nz = [{kind = "ramp", to = -5}]', "rate = missing"),
+        ('[reference]\nz = [{kind = "ramp", to = -5, rate = 6}]', "at most 5 N/s fast"),
+        (
+            '[reference]\nz = [{kind = "sweep", amplitude = 9, start = 0.01, stop = 1, duration = 9}]',
+            "at most 5 N/s fast",
+        ),
+        ("[reference]\nx = 8\ny = -7", "at most 10 N"),
+        ("[reference", "TOML"),
+    ],
+)
+def test_a_wrong_table_is_refused_with_its_file(tmp_path, table, message):
+    path = tmp_path / "e.toml"
+    path.write_text(table)
+    with pytest.raises(InputError, match=message) as caught:
+        from_text(str(path))
+    assert str(caught.value).startswith(f"{path}: ")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("ramps:sweep@0,0,1@1@2", "X,Y,Z@RATE"),
+        ("ramps:sweep@0,0,1@0@2@1", "X,Y,Z@RATE"),
+        ("ramps:0,0,-5@2 sweep@0,0,6@0.01@0.02@9", "at most 10 N"),
         ("0,0", "X,Y,Z"),
         ("0,0,x", "X,Y,Z"),
         ("0,0,nan", "X,Y,Z"),
@@ -168,7 +250,7 @@ def test_wrong_files_are_refused_with_their_line(tmp_path, text, line, message):
 def test_files_that_cannot_be_read_or_are_too_long(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="cannot be read"):
         from_text(str(tmp_path))
-    monkeypatch.setattr(reference, "_LARGEST_FILE", 10)
+    monkeypatch.setattr(parse, "_LARGEST_FILE", 10)
     with pytest.raises(InputError, match="at most 10"):
         from_text(write(tmp_path, "t,x,y,z\n0,0,0,0\n"))
 

@@ -11,7 +11,7 @@ from deploy.loop.cycle import CycleResult, OperatorCommand
 from deploy.loop.loop import STATES, RunResult
 from deploy.loop.session import Options, Session
 from deploy.puck.codec import unpack_torques
-from deploy.reference.stream import ramps
+from deploy.reference.segments import from_words
 from deploy.safety.machine import OperatingState, SafetyState
 from deploy.safety.reasons import Reason
 from deploy.twin.lockstep import LockstepBus, LockstepClock
@@ -109,7 +109,7 @@ def fly(
     def log(frame: Any, stamp: int, sent: bool) -> None:
         frames.append((1e-9 * stamp, unpack_torques(frame.data)))
 
-    source = ramps(reference, rate=20.0, largest=10.0)
+    source = from_words(reference, rate=20.0, largest=10.0)
     options = Options(source, 20.0, turns=False, tare=tare, hook=twin.force_hook, log=log, seconds=record)
     if limits is not None:
         artifact = replace(artifact, arm=replace(artifact.arm, limits=limits))

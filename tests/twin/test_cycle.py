@@ -3,7 +3,7 @@
 from deploy.bus.bus import Bus
 from deploy.loop.cycle import CycleTiming, OperatorCommand
 from deploy.loop.session import Options, Session
-from deploy.reference.stream import Constant
+from deploy.reference.sources import Constant
 from deploy.safety.machine import OperatingState, SafetyState, Task
 from deploy.safety.reasons import Reason
 from deploy.twin.lockstep import LockstepBus, LockstepClock

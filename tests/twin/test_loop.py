@@ -6,7 +6,7 @@ from deploy.bus.bus import Bus
 from deploy.loop.cycle import OperatorCommand
 from deploy.loop.session import Options, Session
 from deploy.puck.codec import unpack_torques
-from deploy.reference.stream import ramps
+from deploy.reference.segments import from_words
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from deploy.twin.lockstep import LockstepBus, LockstepClock
@@ -42,7 +42,7 @@ def run():
         def log(frame, stamp, sent):
             frames.append((stamp, any(unpack_torques(frame.data))))
 
-        options = Options(ramps("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False, log=log)
+        options = Options(from_words("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False, log=log)
         session = Session(arm_artifact(), bus, clock, options, lambda sentence: None)
         watchdog, cycles, when = Watchdog(), [], []
 
