@@ -22,7 +22,7 @@ import numpy as np
 from cmaes import CMA
 from jaxtyping import Array
 
-from benchmarks.rivals.objective import BATCH, evaluator
+from benchmarks.rivals.objective import BATCH, evaluator, mpc_aob
 from benchmarks.rivals.room import shares, vectors
 from jaxmpc import Params
 from jaxmpc.experiment.tables import kind_of
@@ -30,17 +30,13 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import write_atomic
 from jaxmpc.files.toml import write_toml
 from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
-from jaxmpc.stability import Margins, margins_one
-from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, contact_of
 from jaxmpc.stability.whole_arm import ROUNDING, radii, robots_of, whole_arm_matrix
 from jaxmpc.synthesis import design_one
 from jaxmpc.terminal.process import use_all_cores
 from jaxmpc.terminal.progress import progress
 from jaxmpc.world.arm import chain
-from jaxmpc.world.contact import Contact, hertz
 from jaxmpc.world.robot import Robot
 from tuning import TuneSpec
-from tuning.objective.designed import Data, Designed, ProblemStructure
 from tuning.objective.problem import problem_of, training
 from tuning.objective.transforms import SearchSpace
 from tuning.search.state import FEASIBLE
@@ -85,21 +81,6 @@ class Room(NamedTuple):
     judge: Callable[[np.ndarray], Judged]
 
 
-def with_own_filter(z: Array, data: Data, kind: ProblemStructure) -> Designed:
-    """The tuner's controller, its margins judged with the velocity filter that it runs with; traceable."""
-    params, scene = SearchSpace(data.base, kind.axes).decode(z, 1.0), data.scene
-    gains, residual = design_one(params, scene.T_s)
-
-    def contact(K_s: Any, sensor_cutoff: Any) -> Contact:
-        return contact_of(K_s, params.K2, scene.T_s, scene.delay, False, scene.velocity_cutoff, sensor_cutoff)
-
-    def judge(K_s: Any) -> Margins:
-        return margins_one(gains, contact(K_s, hertz(SENSOR_CUTOFF_HZ)), False, residual)
-
-    run = jax.vmap(lambda K_s: contact(K_s, scene.sensor_cutoff))(scene.stiffness)
-    return Designed(params, gains, run, jax.vmap(judge)(data.judged_at))
-
-
 def room_of(cutoff: float, count: int) -> Room:
     """The tuner's room and objective with a velocity filter [rad/s], and so many hard trials."""
     guarded = TuneSpec.from_toml(Path(str(resources.files("jaxmpc") / "examples" / "arm-tune.toml")))
@@ -111,7 +92,7 @@ def room_of(cutoff: float, count: int) -> Room:
     if cutoff != published.experiment.velocity_lowpass:
         own = problem_of(published, "frequency", training(published, published.tune.train_seeds))
         problem = problem._replace(data=problem.data._replace(reference=own.data.reference))
-    evaluate, space = evaluator(problem, with_own_filter), spec.space
+    evaluate, space = evaluator(problem, mpc_aob), spec.space
     job = Job((spec.params,), experiment, HARD)
     trials = [job.trial(i) for i in range(count)]
     kind, robots = kind_of(trials[0].arm, trials[0].tissue, bool(trials[0].sensor.kalman)), robots_of(trials)

@@ -56,7 +56,7 @@ class Loop:
     delay: int = 1  # 1 or 2 [samples]
     T_s: float = 1e-3  # sampling time and physics step [s]
     sensor_lsb: Vector3 = (0.0061, 0.0061, 0.0122)  # [N]
-    sensor_cutoff: float = 0.0  # low-pass of the force sensor [Hz]
+    sensor_cutoff: float = 500.0  # low-pass of the force sensor [Hz]
     sensor_mass: float = 0.0  # tool mass beyond the sensor, whose inertia it reads [kg]
     encoder_counts: int = 4096  # per motor turn
     velocity_cutoff: float = 180.0  # low-pass of the joint velocities [rad/s]

@@ -142,6 +142,6 @@ def dlsim_residual(gains: Gains, contact: Contact, scene: ScenarioData, axis: in
     signals = scene.signals
     ref = np.asarray(signals.force_ref)[axis, :, 0]
     inputs = np.column_stack([np.asarray(signals.heart)[axis], np.asarray(signals.noise)[axis], ref])
-    _, force, _ = scipy.signal.dlsim((*loop_system(gains, contact), float(scene.T_s)), inputs)
+    _, force, _ = scipy.signal.dlsim((*loop_system(gains, contact), float(scene.path.T_s)), inputs)
     error = (force[:, 0] - ref)[np.asarray(signals.score)[axis]]
     return float(np.sqrt(np.mean(error**2)))

@@ -64,13 +64,12 @@ class Designed(NamedTuple):
     """Residual of the Riccati equation, (controllers,) [-]."""
 
 
-def designed(params: Params, scene: ScenarioData, *, ideal: bool) -> Designed:
+def designed(params: Params, scene: ScenarioData) -> Designed:
     """Design a batch of controllers; float64, traceable."""
 
     def one(p: Params) -> Designed:
-        gains, residual = design_one(p, scene.T_s)
-        filters = scene.delay, ideal, scene.velocity_cutoff, scene.sensor_cutoff
-        contacts = jax.vmap(lambda K_s: contact_of(K_s, p.K2, scene.T_s, *filters))(scene.stiffness)
+        gains, residual = design_one(p, scene.path.T_s)
+        contacts = jax.vmap(lambda K_s: contact_of(K_s, p.K2, scene.path))(scene.stiffness)
         return Designed(gains, contacts, residual)
 
     return jax.vmap(one)(params)
@@ -125,12 +124,12 @@ def evaluate_block(
         dtype: Precision of the time stepping.
         traced: Keep every sample.
     """
-    controllers = designed(params, scene, ideal=world.ideal)
-    found = judged(controllers, ideal=world.ideal)
+    controllers = designed(params, scene)
+    found = judged(controllers, ideal=scene.path.ideal)
     return outcome_of(found, ran(controllers, params.K2, scene, world=world, dtype=dtype, traced=traced))
 
 
-_designed = JitOnce(designed, static_argnames=("ideal",))
+_designed = JitOnce(designed)
 _judged = JitOnce(judged, static_argnames=("ideal",))
 _outcome_of = JitOnce(shaped_outcome, static_argnames=("batch",))
 _ran = JitOnce(ran, static_argnames=("world", "dtype", "traced"))
@@ -170,19 +169,19 @@ def evaluate(
     batch = params.batch_shape
     flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), params)
     scene, world = scenario_data(experiment), program_spec(experiment)
-    controllers = _designed(flat, scene, ideal=world.ideal)
+    controllers = _designed(flat, scene)
 
     def judge() -> Margins:
         # A thread has a precision of its own.
         with jax.enable_x64(True):
-            margins: Margins = _judged(controllers, ideal=world.ideal)
+            margins: Margins = _judged(controllers, ideal=scene.path.ideal)
         return margins
 
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(controllers)):
         found, run = judge(), _ran(controllers, flat.K2, scene, world=world, dtype=precision, traced=trace)
     else:
         # Compiling is most of a first call, and the two programs compile side by side; the longer one begins.
-        _judged.trace(controllers, ideal=world.ideal)
+        _judged.trace(controllers, ideal=scene.path.ideal)
         with ThreadPoolExecutor(1) as beside:
             pending = beside.submit(judge)
             run = _ran(controllers, flat.K2, scene, world=world, dtype=precision, traced=trace)

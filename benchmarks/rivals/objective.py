@@ -15,10 +15,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array
 
 from benchmarks.rivals import pi
-from jaxmpc.stability import Margins, margins_one
-from jaxmpc.stability.loop import contact_of
-from jaxmpc.world.contact import Contact
-from tuning.objective.designed import Data, Designed, ProblemStructure, designed, judged_contact
+from tuning.objective.designed import Data, Designed, ProblemStructure, designed, worlds_of
 from tuning.objective.loss import judge
 from tuning.objective.problem import Problem
 from tuning.objective.transforms import SearchSpace
@@ -81,23 +78,15 @@ def _program(kind: ProblemStructure, law: Law) -> tuple[Callable[..., Seen], int
 
 def mpc_aob(z: Array, data: Data, kind: ProblemStructure) -> Designed:
     """The tuner's own controller; traceable."""
-    return designed(SearchSpace(data.base, kind.axes).decode(z, 1.0), data, 1.0, kind)
+    return designed(SearchSpace(data.base, kind.axes).decode(z, 1.0), data, 1.0)
 
 
 def pi_control(z: Array, data: Data, kind: ProblemStructure) -> Designed:
     """The PI controller with damping, in the same worlds and judged at the same margins; traceable."""
-    scene, found = data.scene, pi.decode(z)
-    gains = pi.gains(found, scene.T_s)
-
-    def contact(K_s: Any) -> Contact:
-        filters = scene.delay, kind.world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
-        return contact_of(K_s, found.K2, scene.T_s, *filters)
-
-    def judge(K_s: Any) -> Margins:
-        return margins_one(gains, judged_contact(K_s, found.K2, scene, kind.ideal_goals), kind.ideal_goals)
-
+    found = pi.decode(z)
+    gains = pi.gains(found, data.scene.path.T_s)
     damped = eqx.tree_at(lambda params: params.K2, data.base, found.K2)
-    return Designed(damped, gains, jax.vmap(contact)(scene.stiffness), jax.vmap(judge)(data.judged_at))
+    return Designed(damped, gains, *worlds_of(gains, found.K2, data))
 
 
 def judged(controllers: Designed, data: Data, kind: ProblemStructure) -> Seen:

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from jaxmpc.experiment import Experiment
     from jaxmpc.law.cascade import Gains
     from jaxmpc.law.gain_backoff import GainBackoff
-    from jaxmpc.stability import Margins
     from jaxmpc.synthesis.params import Params
 
 STIFFNESSES = 33
@@ -139,18 +138,15 @@ def freeze_controller(
 
 
 def _rows(params: "Params", experiment: "Experiment", ideal: bool) -> list[dict[str, Any]]:
-    """Margins at the experiment's stiffnesses and between them; on the arm with its filters, as `evaluate` has them."""
+    """Margins of the experiment's loop at its stiffnesses and between them."""
     import numpy as np
 
-    from jaxmpc import Params, margins
+    from jaxmpc import margins
     from jaxmpc.files.errors import InputError
 
     between = np.geomspace(min(experiment.stiffness), max(experiment.stiffness), STIFFNESSES)
     stiffness = np.unique([*experiment.stiffness, *between])
-    if experiment.physics == "linear":
-        found = margins(params, stiffness, delay=experiment.delay, ideal=ideal, timing=experiment.timing)
-    else:
-        found = _margins_on_the_arm(Params.stack([params]), experiment, stiffness)
+    found = margins(params, stiffness, path=experiment.loop_path(ideal))
     rows: list[dict[str, Any]] = []
     for i, K_s in enumerate(stiffness.tolist()):
         row = {name: float(getattr(found, name)[i]) for name in found._fields if name != "status"}
@@ -159,22 +155,6 @@ def _rows(params: "Params", experiment: "Experiment", ideal: bool) -> list[dict[
             raise InputError("spectral radius", f"{row['spectral_radius']:.4f} at {K_s:.4g} N/m", "below 1", remedy)
         rows.append({"stiffness": K_s, "delay": experiment.delay, "ideal": ideal, **row})
     return rows
-
-
-def _margins_on_the_arm(batch: "Params", experiment: "Experiment", stiffness: "np.ndarray") -> "Margins":
-    """Margins of one controller at each stiffness."""
-    import jax
-    import numpy as np
-
-    from jaxmpc.engine.scene import scenario_data
-    from jaxmpc.evaluation import designed, judged
-    from jaxmpc.xla.once import JitOnce
-    from jaxmpc.xla.precision import in_float64
-
-    scene = scenario_data(experiment)._replace(stiffness=stiffness)
-    judge = JitOnce(lambda params: judged(designed(params, scene, ideal=False), ideal=False))
-    found: Margins = jax.tree.map(lambda leaf: np.asarray(leaf)[0], in_float64(judge)(batch))
-    return found
 
 
 def _believed(experiment: "Experiment", limits: Path | None) -> dict[str, Any]:

@@ -17,8 +17,9 @@ from jaxmpc.experiment.tables import kind_of, robot_of, softening
 from jaxmpc.law.cascade import Gains
 from jaxmpc.metrics import Metrics
 from jaxmpc.world.arm import chain
-from jaxmpc.world.contact import Contact, hertz
+from jaxmpc.world.contact import Contact
 from jaxmpc.world.heart.motion import displacement
+from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.world.robot import Robot, RobotStructure
 
 
@@ -26,8 +27,6 @@ class ProgramSpec(NamedTuple):
     """What of an experiment needs a program of its own; hashable."""
 
     physics: str
-    ideal: bool
-    """Whether the damping is ideal; never so on the arm."""
     preview: bool
     kind: RobotStructure | None
     """Structure of the arm's world."""
@@ -41,10 +40,7 @@ class ScenarioData(NamedTuple):
     """Signals of the linear world with the axes first, of the arm with the motions first."""
     lsb: Any
     robot: Robot | None
-    T_s: Any
-    delay: Any
-    velocity_cutoff: Any
-    sensor_cutoff: Any
+    path: LoopPath
 
 
 class CellResults(NamedTuple):
@@ -62,11 +58,11 @@ class CellResults(NamedTuple):
 
 def program_spec(experiment: Experiment) -> ProgramSpec:
     """The structure of an experiment."""
-    linear = experiment.physics == "linear"
-    kind = None if linear else kind_of(experiment.arm, experiment.tissue, experiment.sensor.kalman > 0.0)
+    on_arm = experiment.physics != "linear"
+    kind = kind_of(experiment.arm, experiment.tissue, experiment.sensor.kalman > 0.0) if on_arm else None
     if experiment.physics == "mjx" and kind is not None:
         kind = kind._replace(integrator="euler")
-    return ProgramSpec(experiment.physics, linear and experiment.damping == "ideal", experiment.reference.preview, kind)
+    return ProgramSpec(experiment.physics, experiment.reference.preview, kind)
 
 
 def scenario_data(experiment: Experiment) -> ScenarioData:
@@ -77,10 +73,7 @@ def scenario_data(experiment: Experiment) -> ScenarioData:
         _arm_signals(experiment) if on_arm else _axis_signals(experiment),
         np.asarray(experiment.sensor.lsb),
         robot_of(experiment) if on_arm else None,
-        experiment.sampling_time,
-        float(experiment.delay),
-        experiment.velocity_lowpass,
-        hertz(experiment.sensor.lowpass_hz),
+        experiment.loop_path(),
     )
 
 

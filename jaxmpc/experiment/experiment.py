@@ -13,6 +13,7 @@ from jaxmpc.experiment.tables import ArmSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.synthesis.params import HP_MAX, Timing
 from jaxmpc.world.heart.motion import Motion, Seconds, Seed, Size, displacement
+from jaxmpc.world.loop_path import LoopPath, loop_path
 
 AXES = ("x", "y", "z")
 Physics = Literal["linear", "wam", "mjx"]
@@ -26,8 +27,8 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Standard deviation of white noise per sample [N] (prior; the maker publishes none)."""
     lsb: tuple[Size, Size, Size] = (0.0061, 0.0061, 0.0122)
     """Least significant bit per axis, 2¹⁴ counts on 100/100/200 N [N]."""
-    lowpass_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e4)] = 0.0
-    """Cut-off of the built-in low-pass [Hz]; the fastest of the JR3 is 500."""
+    lowpass_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e4)] | None = None
+    """Cut-off of the built-in low-pass [Hz]; 0 is none. None is the JR3's fastest, 500, and none with ideal damping."""
     kalman: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 0.0
     """Change of the force rate per sample that a Kalman filter on the measured force assumes [N/s]; 0 is no filter.
     On the arm alone."""
@@ -91,6 +92,17 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     def timing(self) -> Timing:
         """Sampling of the controller and delay of the world."""
         return Timing(self.sampling_time, self.delay)
+
+    def loop_path(self, ideal: bool | None = None) -> LoopPath:
+        """Delay and filters of the loop that runs, is judged and is frozen.
+
+        Args:
+            ideal: Whether the damping is ideal; None is as the experiment runs it, which on the arm is never ideal.
+        """
+        if ideal is None:
+            ideal = self.physics == "linear" and self.damping == "ideal"
+        cutoff, lowpass_hz = self.velocity_lowpass, self.sensor.lowpass_hz
+        return loop_path(self.sampling_time, self.delay, ideal, velocity_cutoff=cutoff, lowpass_hz=lowpass_hz)
 
     @property
     def steps(self) -> int:

@@ -161,7 +161,7 @@ def robot_of(experiment: "Experiment") -> Robot:
         cable=_cable(arm, posture),
         tool_mass=arm.tool_mass - TOOL_MASS,
         sensor=SensorModel(
-            drive.pole(2.0 * np.pi * sensor.lowpass_hz, T_s),
+            drive.pole(experiment.loop_path().sensor_cutoff, T_s),
             sensor.lsb,
             arm.beyond_sensor,
             kalman_gains(sensor.kalman, sensor.noise, T_s) if sensor.kalman else (1.0, 0.0),

@@ -4,7 +4,6 @@ The public function is `jaxmpc.margins`; stability comes first in it: an unstabl
 margins and the status UNSTABLE, since its peak over frequency can look fine.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,12 +13,13 @@ from jaxtyping import Array, Float, Int
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains
 from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
-from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, closed_loop_matrix, contact_of, spectral_radius
+from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.stability.response import loop_response
 from jaxmpc.status import Status
 from jaxmpc.synthesis import design_one, over_batch
-from jaxmpc.synthesis.params import Params, Timing
-from jaxmpc.world.contact import Contact, hertz
+from jaxmpc.synthesis.params import Params
+from jaxmpc.world.contact import Contact
+from jaxmpc.world.loop_path import LoopPath, loop_path
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 
@@ -75,13 +75,11 @@ def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0
     return Margins(jnp.where(stable, worst.M_s, jnp.inf), up, down, phase, delay, radius, status)
 
 
-@partial(JitOnce, static_argnames=("ideal",))
-def _margins(params: Params, stiffness: Any, delay: Any, T_s: Any, ideal: bool) -> Margins:
+@JitOnce
+def _margins(params: Params, stiffness: Any, path: LoopPath) -> Margins:
     def one(p: Params, K_s: Any) -> Margins:
-        gains, residual = design_one(p, T_s)
-        cutoff = 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ)
-        contact = contact_of(K_s, p.K2, T_s, delay, ideal, VELOCITY_CUTOFF, cutoff)
-        return margins_one(gains, contact, ideal, residual)
+        gains, residual = design_one(p, path.T_s)
+        return margins_one(gains, contact_of(K_s, p.K2, path), path.ideal, residual)
 
     over_stiffness = one
     for _ in range(jnp.ndim(stiffness)):
@@ -92,7 +90,7 @@ def _margins(params: Params, stiffness: Any, delay: Any, T_s: Any, ideal: bool) 
 
 @in_float64
 def margins(
-    params: Params, stiffness: Any, delay: int = 1, ideal: bool = False, *, timing: Timing | None = None
+    params: Params, stiffness: Any, delay: int = 1, ideal: bool = False, *, path: LoopPath | None = None
 ) -> Margins:
     """Stability margins of controllers on tissues.
 
@@ -103,7 +101,8 @@ def margins(
         ideal: False: the loop as it runs (K₂ẋ sampled, delayed and low-passed at 180 rad/s, force
             low-passed at 500 Hz), cut at v and at a, the worse counts. True: the paper's (6), ideal
             damping, cut at v.
-        timing: Sampling time; its delay is not used.
+        path: Delay, sampling and filters of another loop, instead of `delay` and `ideal`: that of an experiment is
+            `Experiment.loop_path`.
 
     Returns:
         Margins, each of the batch's shape followed by that of `stiffness`.
@@ -114,6 +113,7 @@ def margins(
     values = jnp.asarray(stiffness, jnp.float64)
     if not isinstance(values, jax.core.Tracer) and not bool(jnp.all((values > 0.0) & jnp.isfinite(values))):
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
-    Timing(delay=delay)
-    result: Margins = _margins(params, values, float(delay), (timing or Timing()).T_s, ideal)
+    if path is None:
+        path = loop_path(delay=delay, ideal=ideal)
+    result: Margins = _margins(params, values, path)
     return result

@@ -12,6 +12,7 @@ from jaxmpc.law.cascade import Gains
 from jaxmpc.synthesis.plant import hold_integrals
 from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact
+from jaxmpc.world.loop_path import LoopPath
 
 Scalar = Float[Array, ""]
 
@@ -19,44 +20,28 @@ DOUBLINGS = 44
 """Squarings in `spectral_radius`: a Jordan block of size 3 at ρ then costs 4e-12 of accuracy."""
 PARALLEL = 1e-12
 """Squared sine between x and Ax below which the dominant eigenvalue counts as real."""
-VELOCITY_CUTOFF = 180.0
-"""Default velocity low-pass of the WAM [rad/s] (libbarrett, `wam4.conf`)."""
-SENSOR_CUTOFF_HZ = 500.0
-"""Fastest low-pass of the JR3 sensor [Hz]."""
 
 
-def contact_of(
-    stiffness: Any,
-    K2: Any,
-    T_s: Any,
-    delay: Any,
-    ideal: bool,
-    velocity_cutoff: Any = VELOCITY_CUTOFF,
-    sensor_cutoff: Any = 0.0,
-) -> Contact:
-    """The world of one axis with the damping of one controller.
+def contact_of(stiffness: Any, K2: Any, path: LoopPath) -> Contact:
+    """World of one axis with the damping of one controller.
 
     Args:
         stiffness: K_s [N/m].
         K2: Damping [1/s].
-        T_s: Sampling time [s].
-        delay: 1 or 2 [samples].
-        ideal: The paper's ideal damping (6), inside the plant, or through the measured velocity.
-        velocity_cutoff: Low-pass of the velocity [rad/s]; unused with ideal damping.
-        sensor_cutoff: Low-pass of the force sensor [rad/s]; 0 is none.
+        path: Delays and filters; ideal damping is inside the plant.
     """
     K2 = jnp.asarray(K2)
-    inside = K2 if ideal else jnp.zeros_like(K2)
-    first, second = hold_integrals(inside, T_s)
+    inside = K2 if path.ideal else jnp.zeros_like(K2)
+    first, second = hold_integrals(inside, path.T_s)
     return Contact(
-        T_s=jnp.asarray(T_s),
+        T_s=jnp.asarray(path.T_s),
         stiffness=jnp.asarray(stiffness),
         phi=(first, 1.0 - inside * first),
         gamma=(second, first),
         K2=K2 - inside,
-        velocity_pole=_pole(velocity_cutoff, T_s),
-        sensor_pole=_pole(sensor_cutoff, T_s),
-        extra_delay=jnp.asarray(delay - 1.0),
+        velocity_pole=_pole(path.velocity_cutoff, path.T_s),
+        sensor_pole=_pole(path.sensor_cutoff, path.T_s),
+        extra_delay=jnp.asarray(path.delay - 1.0),
     )
 
 

@@ -25,13 +25,14 @@ from jaxmpc.law import cascade
 from jaxmpc.law import chain as arm
 from jaxmpc.law.cascade import Gains
 from jaxmpc.stability.crossings import LOWEST, POINTS
-from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, contact_of, spectral_radius
+from jaxmpc.stability.loop import contact_of, spectral_radius
 from jaxmpc.stability.response import controller_response, tip_response
 from jaxmpc.stability.search import peak
 from jaxmpc.synthesis import design_one
-from jaxmpc.synthesis.params import Params, Timing
+from jaxmpc.synthesis.params import Params
 from jaxmpc.world import contact as world
-from jaxmpc.world.contact import Contact, hertz
+from jaxmpc.world.contact import Contact
+from jaxmpc.world.loop_path import LoopPath, loop_path
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 
@@ -65,7 +66,7 @@ def presliding_frequencies(experiment: "Experiment") -> Float[np.ndarray, "3"]:
 
 @in_float64
 def presliding_peak(
-    params: Params, stiffness: Any, frequencies: Any, delay: int = 1, *, timing: Timing | None = None
+    params: Params, stiffness: Any, frequencies: Any, path: LoopPath | None = None
 ) -> Float[Array, " tissues"]:
     """Peak sensitivity M_s of the loop as it runs while the joints stick, the worst of the modes [-].
 
@@ -73,27 +74,21 @@ def presliding_peak(
         params: One controller.
         stiffness: K_s, shape (tissues,) [N/m].
         frequencies: Of the modes (`presliding_frequencies`), shape (modes,) [rad/s]; 0 is a joint without friction.
-        delay: Samples between command and effect, 1 or 2 [samples].
-        timing: Sampling time; its delay is not used.
+        path: Delay and filters of a loop with sampled damping; None is the default one.
 
     Returns:
         Shape (tissues,); ∞ where a mode is unstable.
-
-    Raises:
-        InputError: The delay is not 1 or 2.
     """
-    Timing(delay=delay)
     given = [jnp.asarray(values, jnp.float64) for values in (stiffness, frequencies)]
-    worst: Array = _peaks(params, *given, float(delay), (timing or Timing()).T_s)
+    worst: Array = _peaks(params, *given, path or loop_path())
     return worst
 
 
-def _over_cells(params: Params, stiffness: Any, frequencies: Any, delay: Any, T_s: Any) -> Float[Array, " tissues"]:
-    gains, _ = design_one(params, T_s)
+def _over_cells(params: Params, stiffness: Any, frequencies: Any, path: LoopPath) -> Float[Array, " tissues"]:
+    gains, _ = design_one(params, path.T_s)
 
     def mode(K_s: Any, omega: Any) -> Any:
-        contact = contact_of(K_s, params.K2, T_s, delay, ideal=False, sensor_cutoff=hertz(SENSOR_CUTOFF_HZ))
-        return _peak(gains, _on_spring(contact, omega), omega)
+        return _peak(gains, _on_spring(contact_of(K_s, params.K2, path), omega), omega)
 
     cells = jax.vmap(jax.vmap(mode, in_axes=(None, 0)), in_axes=(0, None))(stiffness, frequencies)
     return jnp.max(cells, axis=1)

@@ -16,6 +16,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.world.contact import hertz
+from jaxmpc.world.loop_path import loop_path
 
 T_S = 1e-3
 SENSOR = hertz(500.0)
@@ -39,7 +40,7 @@ def cases(other: Params) -> list[tuple[Params, float, int, bool]]:
 
 
 def world(params: Params, K_s: Any, delay: int, ideal: bool) -> Any:
-    return contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=0.0 if ideal else SENSOR)
+    return contact_of(K_s, params.K2, loop_path(delay=delay, ideal=ideal))
 
 
 def matrices(build: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool) -> tuple[Any, ...]:

@@ -66,7 +66,7 @@ def check_parity(experiment: Experiment) -> None:
             tissue_damping=experiment.tissue.viscosity if experiment.tissue.kind == "kelvin-voigt" else 0.0,
             delay=experiment.delay,
             sensor_lsb=experiment.sensor.lsb,
-            sensor_cutoff=experiment.sensor.lowpass_hz,
+            sensor_cutoff=experiment.loop_path().sensor_cutoff / (2.0 * np.pi),
             sensor_mass=arm.beyond_sensor,
             mass_scale=1.0 + arm.mass_error,
             tool_mass_error=arm.tool_mass_error,

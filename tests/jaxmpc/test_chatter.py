@@ -20,7 +20,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.spectra.effort import asked, chatter_rms, effort_rms
 from jaxmpc.spectra.spectrum import spectrum_of
 from jaxmpc.stability.loop import contact_of
-from tests.jaxmpc.linear_loop import SILENT, T_S, TEXT, cases, check_gradient, matrices, settling, step_by_step, world
+from tests.jaxmpc.linear_loop import SILENT, TEXT, cases, check_gradient, matrices, settling, step_by_step, world
 
 NERVOUS = Params(K2=28.3, T_cl=1.5e-4, Khat_s=1900.0, Q_p=90.0, Q_x=7.9, lam=2.1, delta=0.9, Hp=19, Hu=13)
 CASES = cases(NERVOUS)
@@ -73,7 +73,8 @@ def test_frequency_gives_effort_and_chatter_of_the_linear_loop() -> None:
     """With heart, noise and rounding to the sensor's LSB as an experiment simulates them."""
     experiment = msgspec.structs.replace(Experiment.published("table-1-wam"), physics="linear")
     both, stiffness = Params.stack([TEXT, NERVOUS]), np.array([375.0, 1900.0])
-    contacts = jax.vmap(lambda K2: jax.vmap(lambda K_s: contact_of(K_s, K2, T_S, 1.0, False))(stiffness))(both.K2)
+    path = experiment.loop_path()
+    contacts = jax.vmap(lambda K2: jax.vmap(lambda K_s: contact_of(K_s, K2, path))(stiffness))(both.K2)
     scene, gains, spectrum = scenario_data(experiment), design(both), spectrum_of(experiment)
     simulated, _ = step_by_step(gains, contacts, scene.lsb, scene.signals)
 

@@ -16,6 +16,7 @@ from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis.plant import contact_model
+from jaxmpc.world.loop_path import loop_path
 
 T_S = 1e-3
 VALUES: dict[str, Any] = {"K2": 40.0, "Khat_s": 550.0, "T_cl": 2e-4}
@@ -106,7 +107,7 @@ def test_order_one_costs_what_it_did() -> None:
 def test_the_engine_runs_the_loop_that_scipy_runs(independent_loop: Any, order: int) -> None:
     params = params_of(order)
     gains, noise = design(params), 0.1 * np.random.default_rng(4).standard_normal((1000, 3))
-    contact = contact_of(810.0, params.K2, T_S, 1, ideal=True)
+    contact = contact_of(810.0, params.K2, loop_path(ideal=True))
     heart = 1e-3 * noise[:, 0]
     signals = AxisSignals(*map(jnp.asarray, (heart, noise[:, 1], noise[:, 2:], np.ones(1000))))
     sample = jax.jit(record)(scalars(gains, preview=False), contact, jnp.asarray(0.0), signals)

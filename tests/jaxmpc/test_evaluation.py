@@ -134,7 +134,7 @@ def residual(experiment: Experiment) -> Callable[[jax.Array], jax.Array]:
     def total(x: jax.Array) -> jax.Array:
         params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))
         one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], params)
-        gains, contacts, _ = designed(one, scene, ideal=experiment.damping == "ideal")
+        gains, contacts, _ = designed(one, scene)
         batch = jax.vmap(lambda g: scalars(g, False))(gains), contacts
         return jnp.sum(over_cells(run, *batch, scene.lsb, scene.signals)[0].rms)
 

@@ -68,9 +68,9 @@ def test_every_scenario_is_published() -> None:
 
 
 def test_nominal_arm_is_written_out_in_full() -> None:
-    """Every key stands in the file, but for those of the arm without a default: posture and true friction say it."""
+    """Every key stands in the file, but for those that posture, true friction and damping say."""
     data = written("table-1-wam")
-    none = {"target", "nominal_coulomb", "nominal_viscous", "nominal_presliding"}
+    none = {"target", "nominal_coulomb", "nominal_viscous", "nominal_presliding", "lowpass_hz"}
     for key, kind in (("sensor", SensorSettings), ("tissue", TissueSettings), ("arm", ArmSettings)):
         assert set(data[key]) == {field.name for field in msgspec.structs.fields(kind)} - none
     assert {"delay", "velocity_lowpass", "damping", "sampling_time"} <= set(data)
@@ -83,7 +83,8 @@ def test_nominal_arm_is_that_of_the_definitions() -> None:
     assert experiment.velocity_lowpass == 180.0
     assert arm.posture == (0.0, 0.7, 0.0, 2.2)
     assert (arm.tool_mass, arm.mass_error, arm.encoder_counts, arm.cable_hz) == (0.3, -0.1, 4096, 0.0)
-    assert (sensor.noise, sensor.lsb, sensor.lowpass_hz, sensor.kalman) == (0.01, (0.0061, 0.0061, 0.0122), 0.0, 0.0)
+    assert (sensor.noise, sensor.lsb, sensor.kalman) == (0.01, (0.0061, 0.0061, 0.0122), 0.0)
+    assert experiment.loop_path().sensor_cutoff == pytest.approx(2.0 * np.pi * 500.0)
     assert arm.coulomb == pytest.approx(np.array([0.75, 0.9, 0.75, 0.6]) * PUBLISHED_COULOMB[0])
     assert (arm.coulomb >= PUBLISHED_COULOMB.min(axis=0)).all()
     assert (arm.coulomb <= PUBLISHED_COULOMB.max(axis=0)).all()

@@ -15,6 +15,7 @@ from jaxmpc.stability.presliding import _on_spring, presliding_frequencies, pres
 from jaxmpc.stability.response import controller_response
 from jaxmpc.world import contact as world
 from jaxmpc.world.arm import chain
+from jaxmpc.world.loop_path import loop_path
 
 T_S = 1e-3
 TUNED = Params(K2=100.0, Khat_s=970.0, Q_p=10.0, T_cl=2e-4)
@@ -77,19 +78,19 @@ def test_without_friction_it_is_the_margin_as_it_runs() -> None:
     free = presliding_frequencies(base(coulomb=(0.0, 0.0, 0.0, 0.0)))
     np.testing.assert_array_equal(free, 0.0)
     for params, K_s, delay in ((Params(), 375.0, 1), (Params(), 810.0, 2), (TUNED, 1900.0, 1), (TUNED, 375.0, 2)):
-        found = presliding_peak(params, [K_s], free, delay)
+        found = presliding_peak(params, [K_s], free, loop_path(delay=delay))
         np.testing.assert_allclose(found, margins(params, [K_s], delay).M_s, rtol=1e-9)
 
 
 def test_unstable_is_no_peak() -> None:
     assert np.isinf(presliding_peak(Params(Khat_s=200.0), [1900.0], [70.0, 60.0, 50.0])).all()
     with pytest.raises(InputError, match="delay"):
-        presliding_peak(Params(), [1900.0], [70.0], delay=3)
+        presliding_peak(Params(), [1900.0], [70.0], loop_path(delay=3))
 
 
 def test_tip_on_a_spring_is_that_of_the_matrix_exponential() -> None:
     omega, state = 300.0, world.init(0.0)
-    contact = _on_spring(contact_of(1900.0, 0.0, T_S, 1.0, ideal=False), omega)
+    contact = _on_spring(contact_of(1900.0, 0.0, loop_path()), omega)
     state = state._replace(x=2e-3, xdot=0.1, pending=(3.0, 0.0))
     moved, _ = world.move(contact, state, 0.0, -(omega**2) * state.x)
     flow = np.array([[0.0, 1.0, 0.0], [-(omega**2), 0.0, 1.0], [0.0, 0.0, 0.0]])

@@ -34,6 +34,7 @@ from jaxmpc.world import friction
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import hertz
 from jaxmpc.world.heart.motion import displacement
+from jaxmpc.world.loop_path import loop_path
 from jaxmpc.world.robot import accelerate
 from tests.jaxmpc.linear_loop import (
     DAMPED,
@@ -121,7 +122,7 @@ def test_parts_of_the_residual_are_those_of_its_causes_alone() -> None:
 
 @partial(jax.jit, static_argnames="ideal")
 def worlds(K_s: Any, K2: Any, ideal: bool) -> Any:
-    return jax.vmap(lambda damping: jax.vmap(lambda K: contact_of(K, damping, T_S, 1.0, ideal))(K_s))(K2)
+    return jax.vmap(lambda damping: jax.vmap(lambda K: contact_of(K, damping, loop_path(ideal=ideal)))(K_s))(K2)
 
 
 @jax.jit

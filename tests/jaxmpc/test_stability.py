@@ -1,6 +1,7 @@
 """Margins against their own definition on an independent model, python-control, and central differences."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,6 +17,7 @@ from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radiu
 from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.contact import hertz
+from jaxmpc.world.loop_path import loop_path
 
 T_S = 1e-3
 SENSOR = hertz(500.0)
@@ -41,7 +43,7 @@ Cut = tuple[Any, Any, float]
 @partial(jax.jit, static_argnames="ideal")
 def cut_margins(params: Params, K_s: Any, delay: Any, ideal: bool, cut: Any) -> Any:
     gains, _ = design_one(params, T_S)
-    contact = contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=0.0 if ideal else SENSOR)
+    contact = contact_of(K_s, params.K2, replace(loop_path(ideal=ideal), delay=delay))
 
     def loop(theta: Any, late: Any = None) -> Any:
         return loop_response(gains, contact, theta, cut, late)
@@ -63,7 +65,7 @@ def test_spectral_radius_is_that_of_the_independent_loop(
     expected = (
         radius(A[:, np.arange(len(A)) != 3][np.arange(len(A)) != 3]) if params.architecture == "mpc" else radius(A)
     )
-    contact = contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=sensor)
+    contact = contact_of(K_s, params.K2, loop_path(delay=delay, ideal=ideal))
     assert float(spectral_radius(closed_loop_matrix(gains, contact))) == pytest.approx(expected, rel=1e-9)
 
 
@@ -98,7 +100,7 @@ def test_gain_or_delay_at_the_margin_puts_a_pole_on_the_unit_circle(
 def test_margins_are_those_of_python_control(params: Params, K_s: float, delay: int, ideal: bool, cut: float) -> None:
     """On frequency data: its polynomial route finds false crossings here."""
     gains = design(params)
-    contact = contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=0.0 if ideal else SENSOR)
+    contact = contact_of(K_s, params.K2, loop_path(delay=delay, ideal=ideal))
     omega = np.geomspace(0.5, 0.9999 * np.pi / T_S, 5_000)
     data = control.FRD(np.asarray(loop_response(gains, contact, jnp.asarray(omega * T_S), cut)), omega, smooth=True)
     gain, phase, distance, *_ = control.stability_margins(data, returnall=True)
@@ -121,7 +123,7 @@ def test_closed_form_response_is_that_of_the_independent_loop(
     gains = design(params)
     sensor = 0.0 if ideal else SENSOR
     A, B, C, D = independent_loop(gains, K_s, float(params.K2), delay, ideal, sensor)
-    contact = contact_of(K_s, params.K2, T_S, delay, ideal, sensor_cutoff=sensor)
+    contact = contact_of(K_s, params.K2, loop_path(delay=delay, ideal=ideal))
     for omega in 2 * np.pi * np.array([0.7, 5.0, 30.0, 120.0, 450.0]):
         z = np.exp(1j * omega * T_S)
         expected = (C @ np.linalg.solve(z * np.eye(len(A)) - A, B[:, 1]) + D[:, 1])[0]

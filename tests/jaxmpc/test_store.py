@@ -177,10 +177,10 @@ def test_all_of_an_evaluation_can_be_kept(folder: Path, name: str) -> None:
         leaves = jax.eval_shape(found.call, *jax.tree.leaves(arguments))
         return store.assembled(found.result, iter(np.zeros(leaf.shape, leaf.dtype) for leaf in leaves))
 
-    controllers = kept(evaluation.designed, {"ideal": world.ideal}, params=params, scene=scene)
+    controllers = kept(evaluation.designed, {}, params=params, scene=scene)
     static = {"world": world, "dtype": "float64", "traced": True}
     run = kept(evaluation.ran, static, controllers=controllers, K2=params.K2, scene=scene)
-    found = kept(evaluation.judged, {"ideal": world.ideal}, controllers=controllers)
+    found = kept(evaluation.judged, {"ideal": scene.path.ideal}, controllers=controllers)
     outcome = kept(evaluation.shaped_outcome, {"batch": ()}, found=found, run=run)
     assert outcome.metrics.rms.shape == (3, 3)
     assert outcome.trace.force.shape == (3, 3, experiment.steps)

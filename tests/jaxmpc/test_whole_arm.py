@@ -52,8 +52,7 @@ def test_a_heavy_perfect_arm_is_the_axis_three_times(params: Params, delay: int,
     robot = robot._replace(tool_mass=heavy, nominal=robot.nominal._replace(tool_error=heavy))
     links = chain()._replace(gravity=(0.0, 0.0, 0.0))
     found = np.linalg.eigvals(np.asarray(whole_arm_matrix(links, kind, robot, gains, K2)))
-    filters = given.velocity_lowpass, 2.0 * np.pi * given.sensor.lowpass_hz
-    axis = np.linalg.eigvals(np.asarray(closed_loop_matrix(gains, contact_of(K_S, K2, T_S, delay, False, *filters))))
+    axis = np.linalg.eigvals(np.asarray(closed_loop_matrix(gains, contact_of(K_S, K2, given.loop_path()))))
     # The delays' own eigenvalues at 0 are defective: rounding moves them by its cube root.
     moving = axis[np.abs(axis) > 0.1]
     assert len(moving) >= 6

@@ -24,7 +24,6 @@ import scipy.signal
 from jaxmpc import design, evaluate
 from jaxmpc.files.sealed import SEAL
 from jaxmpc.status import Status
-from jaxmpc.world.contact import hertz
 from sweeps import run as run_module
 from sweeps import store
 from sweeps.plan import QUANTITIES, make_plan
@@ -90,7 +89,7 @@ def smooth(spec: SweepSpec) -> SweepSpec:
 def test_residuals_of_rows_are_scipys(smooth: SweepSpec, tmp_path: Path) -> None:
     result, experiment = run(smooth, tmp_path / "run"), smooth.experiment
     signals, settle = experiment.signals, round(experiment.settle / experiment.sampling_time)
-    cutoff, compared = hertz(experiment.sensor.lowpass_hz), 0
+    cutoff, compared = experiment.loop_path().sensor_cutoff, 0
     for row in range(0, ROWS, 20):
         params = result.controller(row)
         gains = jax.tree.map(np.asarray, design(params))

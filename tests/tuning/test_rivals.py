@@ -15,6 +15,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.law import cascade
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.stability.response import controller_response
+from jaxmpc.world.loop_path import loop_path
 from tuning import TuneSpec
 from tuning.objective.loss import look
 from tuning.objective.problem import Problem, problem_of, training
@@ -64,7 +65,7 @@ def test_its_loop_is_as_stable_as_one_written_by_hand(K_p: float) -> None:
     """x, ẋ, the last command, û and the filtered velocity as a matrix by hand: a stable loop and an unstable one."""
     controller = CONTROLLER._replace(K_p=K_p)
     K_s, cutoff = 1900.0, 180.0
-    contact = contact_of(K_s, controller.K2, T_s, 1.0, False, cutoff)
+    contact = contact_of(K_s, controller.K2, loop_path(T_s, velocity_cutoff=cutoff, lowpass_hz=0.0))
     found = spectral_radius(closed_loop_matrix(pi.gains(controller, T_s), contact))
     pole, share = np.exp(-cutoff * T_s), T_s / controller.T_i
     y = np.array([K_s, 0.0, 0.0, 0.0, 0.0])

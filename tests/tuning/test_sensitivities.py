@@ -13,7 +13,7 @@ from scipy.stats import spearmanr
 from jaxmpc import Params, design
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
-from jaxmpc.world.contact import hertz
+from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.job.result import judge
@@ -143,7 +143,7 @@ def test_curves_show_the_worse_cut_and_end_where_the_reference_asks(spec: TuneSp
     assert (found.overshoot >= 0.0).all()
     with jax.enable_x64(True):
         stiffness = np.asarray(spec.experiment.stiffness)[:, None]
-        contact = contact_of(stiffness, 30.0, 1e-3, 1, False, 180.0, hertz(500.0))
+        contact = contact_of(stiffness, 30.0, loop_path())
         gains, contact = jax.tree.map(np.asarray, (design(params), contact))
     theta = 2.0 * np.pi * found.frequency * 1e-3
     cuts = np.stack([np.abs(1.0 / (1.0 + loop_response(gains, contact, theta, cut))) for cut in (0.0, 1.0)])

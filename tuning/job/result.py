@@ -123,10 +123,7 @@ def judge(way: LevelHistory, show: bool = False) -> TuneResult:
     runs: Metrics = jax.tree.map(lambda *fields: np.stack(fields), before, after)
     found: dict[str, Margins] = {}
     for name, ideal in KINDS.items():
-        both = [
-            margins(p, spec.judged_at, spec.experiment.delay, ideal, timing=spec.experiment.timing)
-            for p in (spec.before, params)
-        ]
+        both = [margins(p, spec.judged_at, path=spec.experiment.loop_path(ideal)) for p in (spec.before, params)]
         found[name] = jax.tree.map(lambda *fields: np.stack(fields), *both)
     return TuneResult(spec, params, state.feasible, runs, found, way.steps, way.orders)
 

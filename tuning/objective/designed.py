@@ -17,10 +17,11 @@ from jaxmpc.spectra.effort import chatter_rms, effort_rms
 from jaxmpc.spectra.residual import residual_rms
 from jaxmpc.spectra.spectrum import Spectrum
 from jaxmpc.stability import Margins, margins_one
-from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
+from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import HP_MAX, Params
-from jaxmpc.world.contact import Contact, hertz
+from jaxmpc.world.contact import Contact
+from jaxmpc.world.loop_path import LoopPath
 from tuning.job.risk import Risk
 from tuning.objective.transforms import FreeParameter
 
@@ -32,7 +33,6 @@ class ProblemStructure(NamedTuple):
     """What needs a program of its own; all else is data."""
 
     axes: tuple[FreeParameter, ...]
-    ideal_goals: bool
     world: ProgramSpec
     precision: str
     risk: Risk
@@ -55,16 +55,12 @@ class Data(NamedTuple):
     """Hard goals on the runs, (starts,)."""
     soft: Mapping[str, Any]
     """Soft goals, all on the runs."""
+    judged: LoopPath
+    """Loop whose margins are judged: of the experiment, as it runs or ideal."""
     judged_at: Any
-    """Stiffnesses at which margins are judged [N/m]."""
+    """Stiffnesses at which they are [N/m]."""
     reference: Metrics
     """Metrics of the start point, (stiffness, scenarios, 3); for goals that are ratios."""
-
-
-def judged_contact(K_s: Any, K2: Any, scene: ScenarioData, ideal: bool) -> Contact:
-    """The world in which `jaxmpc.margins` judges: it runs through the WAM's filters or, if ideal, through none."""
-    sensor = 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ)
-    return contact_of(K_s, K2, scene.T_s, scene.delay, ideal, VELOCITY_CUTOFF, sensor)
 
 
 class Designed(NamedTuple):
@@ -78,20 +74,21 @@ class Designed(NamedTuple):
     """(judged_at,)"""
 
 
-def designed(params: Params, data: Data, width: Any, kind: ProblemStructure) -> Designed:
+def designed(params: Params, data: Data, width: Any) -> Designed:
     """Design one controller and judge its margins as `jaxmpc.margins` defines them; traceable."""
     scene = data.scene
-    gains, residual = design_one(params, scene.T_s, width)
+    gains, residual = design_one(params, scene.path.T_s, width)
+    return Designed(params, gains, *worlds_of(gains, params.K2, data, residual))
 
-    def contact(K_s: Any) -> Contact:
-        filters = scene.delay, kind.world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
-        return contact_of(K_s, params.K2, scene.T_s, *filters)
+
+def worlds_of(gains: Gains, K2: Any, data: Data, residual: Any = 0.0) -> tuple[Contact, Margins]:
+    """Where one controller runs (stiffness,), and its margins (judged_at,); traceable."""
 
     def judge(K_s: Any) -> Margins:
-        judged = judged_contact(K_s, params.K2, scene, kind.ideal_goals)
-        return margins_one(gains, judged, kind.ideal_goals, residual)
+        return margins_one(gains, contact_of(K_s, K2, data.judged), data.judged.ideal, residual)
 
-    return Designed(params, gains, jax.vmap(contact)(scene.stiffness), jax.vmap(judge)(data.judged_at))
+    met = jax.vmap(lambda K_s: contact_of(K_s, K2, data.scene.path))(data.scene.stiffness)
+    return met, jax.vmap(judge)(data.judged_at)
 
 
 def cells_of(controllers: Designed, data: Data, kind: ProblemStructure) -> Metrics:
@@ -135,6 +132,6 @@ def overshoot_of(controllers: Designed, kind: ProblemStructure) -> Float[Array, 
 @partial(jax.jit, static_argnames=("kind",))
 def measure(params: Params, data: Data, kind: ProblemStructure) -> Metrics:
     """What is measured of one controller, (stiffness, scenarios, 3)."""
-    one = jax.tree.map(lambda leaf: leaf[None], designed(params, data, 1.0, kind))
+    one = jax.tree.map(lambda leaf: leaf[None], designed(params, data, 1.0))
     cells: Metrics = jax.tree.map(lambda leaf: leaf[0], cells_of(one, data, kind))
     return cells

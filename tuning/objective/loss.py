@@ -78,7 +78,7 @@ class Judged(NamedTuple):
 def judged(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> Judged:
     """Design, run and judge every start; traceable. Starts are innermost in the time loop, so they cost little."""
     space = SearchSpace(data.base, kind.axes)
-    return judge(jax.vmap(lambda vector: designed(space.decode(vector, width), data, width, kind))(z), data, kind)
+    return judge(jax.vmap(lambda vector: designed(space.decode(vector, width), data, width))(z), data, kind)
 
 
 def judge(controllers: Designed, data: Data, kind: ProblemStructure) -> Judged:

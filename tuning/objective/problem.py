@@ -1,6 +1,7 @@
 """A job on one level of fidelity and one set of scenarios, as a function of all starts."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -106,10 +107,10 @@ def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Probl
         met: The scenarios.
     """
     scene, spectra = _seen(level, met)
-    # Scenarios may differ in delay; margins are judged at the experiment's.
-    scene = scene._replace(delay=float(spec.experiment.delay))
+    # Scenarios may differ in delay; the linear loop has the experiment's, as the margins do.
+    scene = scene._replace(path=replace(scene.path, delay=float(spec.experiment.delay)))
     experiment = met[0] if level == "arm" else msgspec.structs.replace(met[0], physics="linear")
-    kind = ProblemStructure(spec.space.axes, spec.ideal, program_spec(experiment), spec.tune.precision, spec.risk)
+    kind = ProblemStructure(spec.space.axes, program_spec(experiment), spec.tune.precision, spec.risk)
     cells = (len(scene.stiffness), len(met), 3)
     data = Data(
         scene=scene,
@@ -119,6 +120,7 @@ def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Probl
         margins=spec.margin_goals,
         hard=spec.hard_goals,
         soft=dict(spec.soft),
+        judged=spec.experiment.loop_path(spec.ideal),
         judged_at=spec.judged_at if level == spec.ladder[-1] else coarser(spec),
         reference=Metrics(*[jnp.ones(cells)] * len(Metrics._fields)),
     )

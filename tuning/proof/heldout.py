@@ -76,9 +76,8 @@ def _compare(batch: Params, experiments: Sequence[Experiment], show: bool) -> Me
 @partial(JitOnce, static_argnames=("world",))
 def _run(batch: Params, scene: ScenarioData, world: ProgramSpec) -> Metrics:
     def one(params: Params) -> Any:
-        gains, _ = design_one(params, scene.T_s)
-        filters = scene.delay, world.ideal, scene.velocity_cutoff, scene.sensor_cutoff
-        contacts = jax.vmap(lambda K_s: contact_of(K_s, params.K2, scene.T_s, *filters))(scene.stiffness)
+        gains, _ = design_one(params, scene.path.T_s)
+        contacts = jax.vmap(lambda K_s: contact_of(K_s, params.K2, scene.path))(scene.stiffness)
         return scalars(gains, world.preview), contacts
 
     gains, contacts = jax.vmap(one)(batch)

@@ -7,22 +7,22 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from jaxmpc import design
-from jaxmpc.engine.scene import program_spec
 from jaxmpc.experiment import Experiment
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
-from jaxmpc.stability.loop import SENSOR_CUTOFF_HZ, VELOCITY_CUTOFF, contact_of
+from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import contact as world
-from jaxmpc.world.contact import Contact, hertz
+from jaxmpc.world.contact import Contact
+from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.precision import in_float64
 from tuning.objective.designed import STEP_SAMPLES
 
 LOWEST_HZ, POINTS = 0.1, 500
 """Where the curves over frequency begin, and their points up to the Nyquist frequency, in equal ratios."""
 
-_contact = jax.jit(contact_of, static_argnames=("ideal",))
+_contact = jax.jit(contact_of)
 
 
 class Curves(NamedTuple):
@@ -59,23 +59,21 @@ def curves(params: Params, experiment: Experiment, ideal: bool) -> Curves:
         experiment: Its tissues, delay and filters; the step is that of its linear loop.
         ideal: Whether L is that of the ideal loop, or of the loop as it runs; as in `jaxmpc.margins`.
     """
-    T_s = experiment.sampling_time
     stiffness = np.asarray(experiment.stiffness)[:, None]
     # Of plain arrays the closed forms are plain arithmetic, so next to nothing is compiled.
     gains = jax.tree.map(np.asarray, design(params, experiment.timing))
 
-    def worlds(ideal: bool, velocity_cutoff: float, sensor_cutoff: float) -> Contact:
-        found = _contact(stiffness, params.K2, T_s, experiment.delay, ideal, velocity_cutoff, sensor_cutoff)
-        plain: Contact = jax.tree.map(np.asarray, found)
+    def worlds(path: LoopPath) -> Contact:
+        plain: Contact = jax.tree.map(np.asarray, _contact(stiffness, params.K2, path))
         return plain
 
+    T_s = experiment.sampling_time
     theta = np.geomspace(2.0 * np.pi * LOWEST_HZ * T_s, np.pi, POINTS)
-    judged = worlds(ideal, VELOCITY_CUTOFF, 0.0 if ideal else hertz(SENSOR_CUTOFF_HZ))
+    judged, met = worlds(experiment.loop_path(ideal)), worlds(experiment.loop_path())
     loops = np.stack(
         [np.asarray(loop_response(gains, judged, theta, cut)) for cut in ((0.0,) if ideal else (0.0, 1.0))]
     )
     worse = np.argmin(np.abs(1.0 + loops).min(axis=2), axis=0)
-    met = worlds(program_spec(experiment).ideal, experiment.velocity_lowpass, hertz(experiment.sensor.lowpass_hz))
     return Curves(
         theta / (2.0 * np.pi * T_s),
         loops[worse, np.arange(len(worse))],

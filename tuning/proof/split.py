@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmpc import design
-from jaxmpc.engine.scene import program_spec
 from jaxmpc.law.cascade import Gains
 from jaxmpc.spectra.residual import Parts, residual_parts, residual_rms
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
 from jaxmpc.stability.loop import contact_of
-from jaxmpc.world.contact import hertz
+from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 from tuning.job.result import TuneResult
@@ -39,31 +38,25 @@ def split(result: TuneResult) -> Split:
     """The residual by its causes; NaN on a tissue where the loop is unstable."""
     spec = result.spec
     experiment = spec.experiment
-    world, stiffness = program_spec(experiment), np.asarray(experiment.stiffness)
-    filters = experiment.delay, experiment.velocity_lowpass, hertz(experiment.sensor.lowpass_hz)
+    path, stiffness = experiment.loop_path(), np.asarray(experiment.stiffness)
     met = training(spec, spec.tune.train_seeds[:MOST])
     found = []
     for params, seen in ((spec.before, spec.met_before(met)), (result.params, met)):
         spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, seen))
         gains = design(params, experiment.timing)
-        whole, parts = _parts(
-            gains, params.K2, stiffness, spectra, experiment.sampling_time, filters, ideal=world.ideal
-        )
+        whole, parts = _parts(gains, params.K2, stiffness, spectra, path)
         found.append([np.sqrt(np.mean(np.square(field), axis=1)) for field in (whole, *parts)])
-    radius = result.margins["ideal" if world.ideal else "as run"].spectral_radius
+    radius = result.margins["ideal" if path.ideal else "as run"].spectral_radius
     own = np.searchsorted(spec.judged_at, stiffness)
     stable = (radius[:, own] < 1.0)[..., None]
     return Split(*(np.where(stable, np.stack(pair), np.nan) for pair in zip(*found, strict=True)))
 
 
-def _parts_of(
-    gains: Gains, K2: Any, stiffness: Any, spectra: Spectrum, T_s: Any, filters: tuple[Any, Any, Any], ideal: bool
-) -> tuple[Any, Parts]:
+def _parts_of(gains: Gains, K2: Any, stiffness: Any, spectra: Spectrum, path: LoopPath) -> tuple[Any, Parts]:
     """Residual and its parts, (stiffness, scenarios, 3); traceable."""
-    delay, velocity_cutoff, sensor_cutoff = filters
 
     def one(K_s: Any, spectrum: Spectrum) -> tuple[Any, Parts]:
-        contact = contact_of(K_s, K2, T_s, delay, ideal, velocity_cutoff, sensor_cutoff)
+        contact = contact_of(K_s, K2, path)
         return residual_rms(gains, contact, spectrum), residual_parts(gains, contact, spectrum)
 
     over_scenarios = jax.vmap(one, (None, 0))
@@ -71,4 +64,4 @@ def _parts_of(
     return found
 
 
-_parts = JitOnce(_parts_of, static_argnames=("ideal",))
+_parts = JitOnce(_parts_of)

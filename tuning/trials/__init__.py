@@ -27,7 +27,6 @@ from jaxmpc.files.sealed import SealError, digest, seal, unseal, write_atomic
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params, by_structure
 from jaxmpc.terminal.progress import progress
-from jaxmpc.world.contact import hertz
 from jaxmpc.xla.precision import in_float64
 from tuning.job.scenarios import Rhythm, Scenarios, scenario
 from tuning.trials.program import block_program
@@ -217,11 +216,10 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
         own = tuple(rows.reshape(COPIES, POOL, len(varied)).transpose(2, 1, 0))
         base = trials[0]
         found: dict[int, list[np.ndarray]] = {}
-        filters = base.velocity_lowpass, hertz(base.sensor.lowpass_hz)
         for members in by_structure(job.controllers):
             program = block_program(program_spec(base).kind, base.reference.preview, varied, structure)
             batch = Params.stack([job.controllers[i] for i in members])
-            shared = batch, constant, base.sampling_time, filters
+            shared = batch, constant, base.loop_path()
             outcomes = program((signals, own), shared)
             found |= {i: [field[:, :, c] for field in outcomes] for c, i in enumerate(members)}
         ordered = [np.stack(fields, 2) for fields in zip(*(found[i] for i in sorted(found)), strict=True)]

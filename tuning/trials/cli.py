@@ -136,18 +136,19 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> None:
 def _margins(name: str, params: "Params", job: "Job") -> list[list[str]]:
     """A row per delay: as the loop runs, and with the joints' friction as springs."""
     import numpy as np
+    from msgspec.structs import replace
 
     from jaxmpc import margins
     from jaxmpc.stability.presliding import presliding_frequencies, presliding_peak
-    from jaxmpc.synthesis.params import Timing
     from jaxmpc.terminal.tables import number
 
     tissues = np.geomspace(*job.spread.stiffness, TISSUES)
-    timing, frequencies = Timing(job.base.sampling_time), presliding_frequencies(job.base)
+    frequencies = presliding_frequencies(job.base)
     rows = []
     for delay in job.spread.scenarios.delays:
-        found = margins(params, tissues, delay, timing=timing)
-        sticking = np.asarray(presliding_peak(params, tissues, frequencies, delay, timing=timing))
+        path = replace(job.base, delay=delay).loop_path()
+        found = margins(params, tissues, path=path)
+        sticking = np.asarray(presliding_peak(params, tissues, frequencies, path))
         M_s = np.asarray(found.M_s)
         up, down, phase, late = (float(np.min(np.asarray(field))) for field in found[1:5])
         gains = f"{number(up, 1)} / −{number(down, 1)}"

@@ -1,6 +1,7 @@
 """Trials as one compiled program: motions × robots on each × controllers, design and linear stability included."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -24,7 +25,7 @@ AT_A_TIME = 12
 
 @lru_cache(maxsize=8)
 def block_program(kind: RobotStructure, preview: bool, varied: tuple[int, ...], structure: Any) -> Callable[..., Any]:
-    """A compiled function of ((signals, own), (params, constant, T_s, filters)).
+    """A compiled function of ((signals, own), (params, constant, path)).
 
     Args:
         kind: Structure of the arm's world.
@@ -36,13 +37,13 @@ def block_program(kind: RobotStructure, preview: bool, varied: tuple[int, ...], 
         Status, time of trouble [s], spectral radius [-], each (motions, copies, controllers), RMS and largest |e| [N],
         with three axes besides. Of what it is called with, signals (motions, steps, …) and own, one
         array (motions, copies) per varied leaf, are dealt to the devices by motion; constant holds all leaves of
-        a `Robot`, and filters the cut-offs of velocity and force [rad/s].
+        a `Robot`, and path is that of the experiment but for the delay, which the robots have.
     """
     program = Program(chain(), kind, implicit, HIGHEST_FORCE)
 
     def block(batch: Any, shared: Any) -> Any:
-        (signals, own), (params, constant, T_s, filters) = batch, shared
-        gains, residual = jax.vmap(lambda p: design_one(p, T_s))(params)
+        (signals, own), (params, constant, path) = batch, shared
+        gains, residual = jax.vmap(lambda p: design_one(p, path.T_s))(params)
         leaves = list(constant)
         for k, values in zip(varied, own, strict=True):
             leaves[k] = values[..., None]
@@ -51,7 +52,7 @@ def block_program(kind: RobotStructure, preview: bool, varied: tuple[int, ...], 
         stiffness, late = (jnp.broadcast_to(x, shape) for x in (robot.tissue.stiffness, robot.extra_delay))
 
         def radius(K_s: Any, extra: Any, g: Any, K2: Any) -> Any:
-            return spectral_radius(closed_loop_matrix(g, contact_of(K_s, K2, T_s, 1.0 + extra, False, *filters)))
+            return spectral_radius(closed_loop_matrix(g, contact_of(K_s, K2, replace(path, delay=1.0 + extra))))
 
         over_controllers = jax.vmap(radius)
         over_copies = jax.vmap(over_controllers, in_axes=(0, 0, None, None))

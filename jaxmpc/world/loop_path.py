@@ -1,0 +1,62 @@
+"""What one loop passes on its way from the command to the measurement: sampling, delay, and two low-pass filters.
+
+Whoever judges, tunes, simulates or freezes a loop takes it from here, so that all of them mean the same one.
+"""
+
+from typing import Any
+
+import equinox as eqx
+
+from jaxmpc.files.errors import InputError
+from jaxmpc.world.contact import hertz
+
+VELOCITY_CUTOFF = 180.0
+"""Default velocity low-pass of the WAM [rad/s] (libbarrett, `wam4.conf`)."""
+SENSOR_LOWPASS_HZ = 500.0
+"""Fastest low-pass of the JR3 force sensor, which a loop that runs has unless it is told otherwise [Hz]."""
+
+
+class LoopPath(eqx.Module):
+    """Filters and delays of a loop; the numbers may be traced, `ideal` is structure.
+
+    Attributes:
+        T_s: Sampling time [s].
+        delay: Between a command and its effect, 1 or 2 [samples].
+        velocity_cutoff: Low-pass of the velocity [rad/s]; unused with ideal damping.
+        sensor_cutoff: Low-pass of the force sensor [rad/s]; 0 is none.
+        ideal: Whether the damping is the paper's ideal one (6), or goes through the measured velocity.
+    """
+
+    T_s: Any
+    delay: Any
+    velocity_cutoff: Any
+    sensor_cutoff: Any
+    ideal: bool = eqx.field(static=True)
+
+
+def loop_path(
+    T_s: float = 1e-3,
+    delay: int = 1,
+    ideal: bool = False,
+    *,
+    velocity_cutoff: float = VELOCITY_CUTOFF,
+    lowpass_hz: float | None = None,
+) -> LoopPath:
+    """Path of a loop as it runs, or of the paper's ideal one.
+
+    Args:
+        T_s: Sampling time [s].
+        delay: Between a command and its effect, 1 or 2 [samples].
+        ideal: Whether the damping is ideal.
+        velocity_cutoff: Low-pass of the velocity [rad/s].
+        lowpass_hz: Low-pass of the force sensor [Hz], 0 is none. None is `SENSOR_LOWPASS_HZ` as it runs, and none in
+            the ideal loop.
+
+    Raises:
+        InputError: The delay is not 1 or 2.
+    """
+    if delay not in (1, 2):
+        raise InputError("delay", delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")
+    if lowpass_hz is None:
+        lowpass_hz = 0.0 if ideal else SENSOR_LOWPASS_HZ
+    return LoopPath(T_s, float(delay), velocity_cutoff, hertz(lowpass_hz), ideal)
