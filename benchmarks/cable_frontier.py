@@ -37,8 +37,8 @@ from jaxmpc.terminal.progress import progress
 from jaxmpc.world.arm import chain
 from jaxmpc.world.robot import Robot
 from tuning import TuneSpec
+from tuning.job.space import SearchSpace
 from tuning.objective.problem import problem_of, training
-from tuning.objective.transforms import SearchSpace
 from tuning.search.state import FEASIBLE
 from tuning.trials import HARD, Job
 

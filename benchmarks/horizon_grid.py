@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxmpc import Params
-from jaxmpc.synthesis.params import HP_MAX, HU_MAX
+from jaxmpc.quantities import HORIZONS, HP_MAX, HU_MAX
 from jaxmpc.terminal.process import use_all_cores
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
-from tuning.objective.transforms import HORIZONS
 from tuning.search.optimise import optimiser
 from tuning.search.state import FEASIBLE
 

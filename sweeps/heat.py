@@ -7,10 +7,10 @@ import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.pictures.figures import ACCENT, BASELINE, figure
-from jaxmpc.synthesis.params import BOUNDS
-from sweeps.labels import SYMBOLS, TEXTS, WORST_RMS, plain_ticks
+from jaxmpc.quantities import HORIZONS, PARAMETERS
+from sweeps.labels import WORST_RMS, plain_ticks
 from sweeps.result import Result
-from sweeps.space import WHOLE, SweepAxis
+from sweeps.space import SweepAxis
 
 MOST_BINS, ROWS_A_BIN = 24, 12
 """Bins of a random sweep along one axis of the heat map, and rows aimed at in each cell."""
@@ -183,14 +183,13 @@ def _hatch(axes: Any, x: np.ndarray, y: np.ndarray, cells: np.ndarray) -> None:
 
 def _dress(which: Any, bins: _Bins, name: str) -> None:
     """Label, scale and ticks of one axis of the heat map."""
-    unit = BOUNDS[name][2]
-    which.set_label_text(f"{TEXTS[name]} {SYMBOLS[name]} [{unit}]")
+    which.set_label_text(PARAMETERS[name].label)
     if bins.log:
         which._set_axes_scale("log")
     if bins.ticks is not None:
         every = -(-len(bins.ticks) // 16)
         which.set_ticks(np.arange(len(bins.ticks))[::every], bins.ticks[::every])
-    elif name in WHOLE:
+    elif name in HORIZONS:
         which.get_major_locator().set_params(integer=True)
 
 

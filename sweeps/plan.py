@@ -12,36 +12,14 @@ import numpy as np
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import LARGEST, digest
-from jaxmpc.synthesis.params import BOUNDS, Params
+from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
+from jaxmpc.synthesis.params import Params
 from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
 
 SCHEMA = "jaxmpc-sweep/1"
 CHUNK = 2048
 """Rows of a chunk file, the most that a kill can cost."""
-
-
-class Quantity(NamedTuple):
-    """What a column of the result measures."""
-
-    unit: str
-    per_axis: bool
-    text: str
-
-
-QUANTITIES = {
-    "rms": Quantity("N", True, "residual force, root mean square"),
-    "peak_to_peak": Quantity("N", True, "residual force, peak to peak"),
-    "effort": Quantity("m/s²", True, "acceleration asked of the robot, root mean square"),
-    "chatter": Quantity("m/s²", True, "change of that acceleration from sample to sample, root mean square"),
-    "M_s": Quantity("-", False, "peak sensitivity"),
-    "gain_margin_db": Quantity("dB", False, "gain increase to instability"),
-    "gain_reduction_db": Quantity("dB", False, "gain decrease to instability"),
-    "phase_margin_deg": Quantity("deg", False, "smallest lag to instability"),
-    "delay_margin_s": Quantity("s", False, "smallest added delay to instability"),
-    "spectral_radius": Quantity("-", False, "largest eigenvalue of the closed loop"),
-}
-"""Columns per stiffness (and axis), beside the row number, the swept parameters and the status."""
 
 
 class Column(NamedTuple):
@@ -92,10 +70,9 @@ class Plan:
         tissues, measured = len(self.stiffness), {"float32": "<f4", "float64": "<f8"}[self.canonical["precision"]]
         columns = {"row": Column("<i8", ())} | {axis.name: Column("<f8", ()) for axis in self.space.axes}
         columns["status"] = Column("|i1", (tissues,))
-        for name, quantity in QUANTITIES.items():
-            # What a run measures has the precision of the run, margins are always float64.
-            kind = Column(measured, (tissues, 3)) if quantity.per_axis else Column("<f8", (tissues,))
-            columns[name] = kind
+        # What a run measures has the precision of the run, margins are always float64.
+        columns |= {name: Column(measured, (tissues, 3)) for name in METRICS}
+        columns |= {name: Column("<f8", (tissues,)) for name in MARGINS}
         return columns
 
     @cached_property
@@ -159,7 +136,7 @@ def describe(plan: Plan) -> str:
     swept = {axis.name: axis for axis in space.axes}
     lines = []
     for name, axis in swept.items():
-        ends = f"{min(axis.values):.6g} … {max(axis.values):.6g} {BOUNDS[name][2]}"
+        ends = f"{min(axis.values):.6g} … {max(axis.values):.6g} {PARAMETERS[name].unit}"
         points = f"{len(axis.values)} values" if space.kind == "grid" or axis.scale == "list" else "drawn"
         lines.append(f"  {name:<11} {ends}, {points}, {axis.scale}")
     fixed = {k: v for k, v in plan.canonical["params"].items() if k not in swept}

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
+from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
 from jaxmpc.status import Status
-from jaxmpc.synthesis.params import BOUNDS
 from sweeps.heat import heat_map, mapped_axes
 from sweeps.labels import WORST_M_S, WORST_RMS, plain_ticks
 from sweeps.result import Point, Result
@@ -97,17 +97,12 @@ def table(result: Result, n: int = 10, max_M_s: float = 2.0) -> str:
         stable = int((result["status"] == Status.OK).all(axis=1).sum())
         return f"no row has M_s ≤ {max_M_s:g} at every stiffness; {stable} of {len(result)} are stable at every one"
     swept = [axis.name for axis in result.plan.space.axes]
-    head = ["row", *(_with_unit(name, BOUNDS[name][2]) for name in swept), "rms [N]", "M_s", "gain [dB]", "delay [ms]"]
-    lines = [head]
-    for place in range(len(best)):
-        gain = min(best["gain_margin_db"][place].min(), best["gain_reduction_db"][place].min())
-        values = [best.worst_rms[place], best.worst_M_s[place], gain, 1e3 * best["delay_margin_s"][place].min()]
-        lines.append([str(best["row"][place])] + [f"{v:.4g}" for v in [*(best[s][place] for s in swept), *values]])
+    columns = [best["row"], *(best[name] for name in swept), METRICS["rms"].times * best.worst_rms]
+    columns += [margin.times * margin.worst(best[name], axis=1) for name, margin in MARGINS.items()]
+    shown = [*(PARAMETERS[name] for name in swept), METRICS["rms"], *MARGINS.values()]
+    lines = [["row", *(quantity.heading for quantity in shown)]]
+    lines += [[f"{row}", *(f"{value:.4g}" for value in values)] for row, *values in zip(*columns, strict=True)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     text = ["  ".join(word.rjust(width) for word, width in zip(line, widths, strict=True)) for line in lines]
     title = f"best rows with M_s ≤ {max_M_s:g}; rms, M_s and margins are the worst over stiffness (and axis)"
     return "\n".join([title, *text])
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return name if unit in ("-", "samples") else f"{name} [{unit}]"

@@ -14,10 +14,11 @@ import numpy as np
 from jaxmpc.experiment import AXES
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.sealed import canonical_json, write_atomic
+from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
 from jaxmpc.status import Status
-from jaxmpc.synthesis.params import BOUNDS, Params
+from jaxmpc.synthesis.params import Params
 from sweeps import store
-from sweeps.plan import QUANTITIES, Plan
+from sweeps.plan import Plan
 
 if TYPE_CHECKING:
     import xarray
@@ -44,7 +45,7 @@ class Result:
 
     Attributes:
         plan: What was swept.
-        columns: Row number, swept parameters, status, and `sweeps.plan.QUANTITIES`.
+        columns: Row number, swept parameters, status, metrics and margins (`jaxmpc.quantities`).
         baseline: The base controller on the same experiment, once the sweep is finished.
     """
 
@@ -146,16 +147,16 @@ class Result:
             OSError: The file cannot be written.
         """
         swept = [axis.name for axis in self.plan.space.axes]
-        head = ["row", *(f"{name} [{BOUNDS[name][2]}]" for name in swept), "stiffness [N/m]", "status"]
-        for name, (unit, per_axis, _) in QUANTITIES.items():
-            head += [f"{name}{axis} [{unit}]" for axis in ([f"_{axis}" for axis in AXES] if per_axis else [""])]
+        head = ["row", *(f"{name} [{PARAMETERS[name].unit}]" for name in swept), "stiffness [N/m]", "status"]
+        head += [f"{name}_{axis} [{metric.unit}]" for name, metric in METRICS.items() for axis in AXES]
+        head += [f"{name} [{margin.unit}]" for name, margin in MARGINS.items()]
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(head)
         for place in range(len(self)):
             start = [int(self["row"][place]), *(float(self[name][place]) for name in swept)]
             for tissue, stiffness in enumerate(self.plan.stiffness):
-                values = np.concatenate([np.atleast_1d(self[name][place, tissue]) for name in QUANTITIES])
+                values = np.concatenate([np.atleast_1d(self[name][place, tissue]) for name in (*METRICS, *MARGINS)])
                 status = Status(self["status"][place, tissue]).name
                 writer.writerow([*start, stiffness, status, *values.tolist()])
         write_atomic(Path(path), text.getvalue().encode())
@@ -177,11 +178,11 @@ class Result:
             "axis": list(AXES),
         }
         for axis in self.plan.space.axes:
-            coordinates[axis.name] = ("row", self[axis.name], {"units": BOUNDS[axis.name][2]})
+            coordinates[axis.name] = ("row", self[axis.name], {"units": PARAMETERS[axis.name].unit})
         meanings = {status.name: int(status) for status in Status}
         variables: dict[str, Any] = {"status": (("row", "stiffness"), self["status"], meanings)}
-        for name, (unit, per_axis, text) in QUANTITIES.items():
-            dimensions = ("row", "stiffness", "axis")[: 3 if per_axis else 2]
-            variables[name] = (dimensions, self[name], {"units": unit, "long_name": text})
+        for name, row in {**METRICS, **MARGINS}.items():
+            dimensions = ("row", "stiffness", "axis")[: 3 if name in METRICS else 2]
+            variables[name] = (dimensions, self[name], {"units": row.unit, "long_name": row.text})
         attributes = {"result_hash": self.hash, "spec": canonical_json(self.plan.canonical)}
         return xarray.Dataset(variables, coordinates, attributes)

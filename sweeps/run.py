@@ -12,13 +12,14 @@ import numpy as np
 
 from jaxmpc.engine.scene import ProgramSpec, program_spec, scenario_data
 from jaxmpc.evaluation import Outcome, evaluate_block
+from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from jaxmpc.terminal.progress import Tick
 from jaxmpc.terminal.progress import progress as progress_of
 from jaxmpc.xla.blocks import BLOCK, over_blocks
 from sweeps import store
-from sweeps.plan import CHUNK, QUANTITIES, Plan, check_chunk, make_plan
+from sweeps.plan import CHUNK, Plan, check_chunk, make_plan
 from sweeps.result import Point, Result, baseline_of
 from sweeps.spec import SweepSpec
 
@@ -148,7 +149,7 @@ def _rows(evaluate: Callable[[Params], Outcome], plan: Plan, first: int, last: i
 
 def _outcome_columns(outcome: Outcome) -> store.Columns:
     measured = outcome.metrics._asdict() | outcome.margins._asdict()
-    columns = {name: np.array(measured[name]) for name in QUANTITIES}
+    columns = {name: np.array(measured[name]) for name in (*METRICS, *MARGINS)}
     for values in columns.values():
         # One NaN, whatever sign and payload the processor made.
         values[np.isnan(values)] = np.nan

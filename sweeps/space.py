@@ -7,10 +7,8 @@ import msgspec
 import numpy as np
 
 from jaxmpc.files.errors import InputError
-from jaxmpc.synthesis.params import BOUNDS
+from jaxmpc.quantities import HORIZONS, PARAMETERS
 
-WHOLE = ("Hp", "Hu")
-"""Parameters that are whole numbers; points of a range are rounded to the nearest."""
 MOST_ROWS = 10_000_000
 """Largest grid or sample [rows]."""
 Scale = Literal["list", "linear", "log"]
@@ -20,7 +18,7 @@ class SweepAxis(msgspec.Struct, frozen=True):
     """One swept parameter.
 
     Attributes:
-        name: A key of `jaxmpc.synthesis.params.BOUNDS`.
+        name: A key of `jaxmpc.quantities.PARAMETERS`.
         scale: How its values lie; "list" are those that the user wrote out.
         values: The points of a grid or of a list, or the two ends of a range to draw from, in the parameter's unit.
     """
@@ -38,7 +36,7 @@ class SweepAxis(msgspec.Struct, frozen=True):
             value = math.exp(math.log(low) + uniform * (math.log(high) - math.log(low)))
         else:
             value = low + uniform * (high - low)
-        return min(max(round(value) if self.name in WHOLE else value, low), high)
+        return min(max(round(value) if self.name in HORIZONS else value, low), high)
 
 
 class SweepSpace(msgspec.Struct, frozen=True):
@@ -77,9 +75,9 @@ class SweepSpace(msgspec.Struct, frozen=True):
         """Row numbers that are computed: those of a grid with H_u ≤ H_p, all of a random sample."""
         rows = np.arange(self.count)
         swept = {axis.name for axis in self.axes}
-        if self.kind == "grid" and swept & set(WHOLE):
+        if self.kind == "grid" and swept & set(HORIZONS):
             columns = self.columns(rows)
-            fixed = dict(zip(WHOLE, self.horizons, strict=True))
+            fixed = dict(zip(HORIZONS, self.horizons, strict=True))
             rows = rows[columns.get("Hu", fixed["Hu"]) <= columns.get("Hp", fixed["Hp"])]
         return rows
 
@@ -88,7 +86,7 @@ class SweepSpace(msgspec.Struct, frozen=True):
         random = np.random.Generator(np.random.Philox(key=np.array([self.seed, row], np.uint64)))
         while True:
             values = [axis.draw(u) for axis, u in zip(self.axes, random.random(len(self.axes)), strict=True)]
-            found = dict(zip(WHOLE, self.horizons, strict=True))
+            found = dict(zip(HORIZONS, self.horizons, strict=True))
             found.update((axis.name, value) for axis, value in zip(self.axes, values, strict=True))
             if found["Hu"] <= found["Hp"]:
                 return values
@@ -107,14 +105,14 @@ def make_axis(name: str, scale: Scale, values: tuple[float, ...], points: int | 
         InputError: A value is not finite or out of bounds, a range is empty or a list repeats itself.
     """
     key = f"sweep.axes.{name}"
-    low, high, unit = BOUNDS[name]
+    unit, (low, high) = PARAMETERS[name].unit, PARAMETERS[name].bounds
     # One weight δ = 0 is a controller that controls nothing.
     positive = scale == "log" or name == "delta"
     bound = f"above 0 and at most {high:g} {unit}" if positive and low == 0.0 else f"in [{low:g}, {high:g}] {unit}"
     for value in values:
         if not low <= value <= high or (positive and value <= 0.0):
             raise InputError(key, value, bound, f"Correct the values of {name}.")
-        if name in WHOLE and value != int(value):
+        if name in HORIZONS and value != int(value):
             raise InputError(key, value, "a whole number of samples", f"Round the values of {name}.")
     if scale == "list":
         if not values:
@@ -129,7 +127,7 @@ def make_axis(name: str, scale: Scale, values: tuple[float, ...], points: int | 
         return SweepAxis(name, scale, values)
     spaced = np.geomspace(first, last, points) if scale == "log" else np.linspace(first, last, points)
     # Rounding can make neighbours equal; each stays once.
-    return SweepAxis(name, scale, tuple(dict.fromkeys((np.round(spaced) if name in WHOLE else spaced).tolist())))
+    return SweepAxis(name, scale, tuple(dict.fromkeys((np.round(spaced) if name in HORIZONS else spaced).tolist())))
 
 
 def make_space(
@@ -143,7 +141,7 @@ def make_space(
     count = math.prod(len(axis.values) for axis in axes) if kind == "grid" else rows
     if count > MOST_ROWS:
         raise InputError("sweep.axes", f"{count} rows", f"at most {MOST_ROWS} rows", "Take fewer points.")
-    ends = {name: (value, value) for name, value in zip(WHOLE, horizons, strict=True)}
+    ends = {name: (value, value) for name, value in zip(HORIZONS, horizons, strict=True)}
     ends.update((axis.name, (min(axis.values), max(axis.values))) for axis in axes)
     if ends["Hu"][0] > ends["Hp"][1]:
         bound = f"in [1, Hp (= {ends['Hp'][1]:g})] samples"

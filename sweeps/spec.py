@@ -10,7 +10,8 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys, located, read_toml
-from jaxmpc.synthesis.params import BOUNDS, Params
+from jaxmpc.quantities import PARAMETERS
+from jaxmpc.synthesis.params import Params
 from jaxmpc.world.heart.motion import Seed
 from sweeps.space import MOST_ROWS, Scale, SweepAxis, SweepSpace, make_axis, make_space
 
@@ -98,7 +99,7 @@ class SweepSpec:
 
 def _space(table: SweepTable, params: Params) -> SweepSpace:
     if not table.axes:
-        raise InputError("sweep.axes", "empty", "at least one parameter", f"Known: {', '.join(BOUNDS)}.")
+        raise InputError("sweep.axes", "empty", "at least one parameter", f"Known: {', '.join(PARAMETERS)}.")
     if table.kind == "random" and table.rows is None:
         raise InputError("sweep.rows", "missing", "given for a random sweep", "Add `rows = 1000`, say.")
     for key, value in (("rows", table.rows), ("seed", table.seed)):
@@ -112,12 +113,12 @@ def _space(table: SweepTable, params: Params) -> SweepSpace:
 
 def _axis(name: str, described: Any, kind: str) -> SweepAxis:
     key = f"sweep.axes.{name}"
-    if name not in BOUNDS:
-        raise InputError(key, "swept", "a known parameter", nearest(name, list(BOUNDS)))
+    if name not in PARAMETERS:
+        raise InputError(key, "swept", "a known parameter", nearest(name, list(PARAMETERS)))
     if isinstance(described, list):
         for value in described:
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(key, value, "a number", f"Its unit is [{BOUNDS[name][2]}].")
+                raise InputError(key, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
         return make_axis(name, "list", tuple(map(float, described)), None)
     if not isinstance(described, dict):
         raise InputError(

@@ -19,6 +19,7 @@ ON_ROBOT = (
     "jaxmpc.files.errors",
     "jaxmpc.law",
     "jaxmpc.files.sealed",
+    "jaxmpc.quantities",
     "jaxmpc.world.arm",
     "jaxmpc.world.contact",
     "jaxmpc.world.drive",

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from jaxmpc.xla.precision import in_float64
-from tuning.job.result import TuneResult, judge
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
 from tuning.job.spec import TuneSpec
+from tuning.proof.result import TuneResult, judge
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.files import write
 from tuning.reports.text import report

@@ -15,10 +15,10 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array
 
 from benchmarks.rivals import pi
+from tuning.job.space import SearchSpace
 from tuning.objective.designed import Data, Designed, ProblemStructure, designed, worlds_of
 from tuning.objective.loss import judge
 from tuning.objective.problem import Problem
-from tuning.objective.transforms import SearchSpace
 
 BATCH = 16
 """Controllers at a time: fewer take as long, more are no faster each (measured)."""

@@ -18,8 +18,8 @@ from jaxtyping import Array, Float
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.law.cascade import Gains
-from jaxmpc.synthesis.params import HP_MAX
-from tuning.objective.transforms import FreeParameter
+from jaxmpc.quantities import HP_MAX
+from tuning.job.space import FreeParameter
 
 
 class Pi(NamedTuple):

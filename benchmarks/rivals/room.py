@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from tuning.objective.transforms import FreeParameter
+from tuning.job.space import FreeParameter
 
 
 def vectors(axes: Sequence[FreeParameter], shares: Float[np.ndarray, "n size"]) -> Float[np.ndarray, "n size"]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from benchmarks.rivals.objective import BATCH, Seen
 from benchmarks.rivals.record import Clock, Run
 from benchmarks.rivals.room import shares, vectors
-from tuning.objective.transforms import EDGE, FreeParameter
+from tuning.job.space import EDGE, FreeParameter
 
 Points = Float[np.ndarray, "n size"]
 Losses = Float[np.ndarray, " n"]

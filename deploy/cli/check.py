@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
         InputError: There is no such file.
     """
     from deploy.controller.artifact import TOLERANCE, ArtifactError, check_golden, load
-    from deploy.controller.margin_floor import UNITS
+    from jaxmpc.quantities import MARGINS
 
     path: Path = args.artifact
     if not os.path.lexists(path):
@@ -51,13 +51,13 @@ def run(args: argparse.Namespace) -> int:
         print(f"  {title:<11} {', '.join(f'{key} {_short(value)}' for key, value in table.items()) or '-'}")
     if artifact.arm is not None:
         _print_arm(artifact.arm)
-    print("\n  stiffness  delay  damping  " + "".join(f"{key:>18}" for key in (*UNITS, "spectral_radius")))
+    print("\n  stiffness  delay  damping  " + "".join(f"{key:>18}" for key in MARGINS))
     for row in artifact.margins:
-        values = "".join(f"{row[key]:>18.4g}" for key in (*UNITS, "spectral_radius"))
+        values = "".join(f"{row[key]:>18.4g}" for key in MARGINS)
         print(f"  {row['stiffness']:>9g}  {row['delay']:>5}  {'ideal' if row['ideal'] else 'as run':<7}  {values}")
-    sign = {key: "≤" if key == "M_s" else "≥" for key in artifact.floor}
-    limits = [f"{sign[key]} {artifact.floor[key]:g}" if key in sign else "" for key in UNITS]
-    print(f"  {'limit':<25}  " + "".join(f"{limit:>18}" for limit in (*limits, "< 1")))
+    limits = {"spectral_radius": "< 1"}
+    limits |= {key: f"{MARGINS[key].sign} {bound:g}" for key, bound in artifact.floor.items()}
+    print(f"  {'limit':<25}  " + "".join(f"{limits.get(key, ''):>18}" for key in MARGINS))
     print(f"\n  golden trace: {len(artifact.golden_v)} samples replayed,", end=" ")
     torques = f" and {TOLERANCE:g} N m" if artifact.arm else ""
     print(f"deviation {check_golden(artifact):.1e} of the largest command (limit {TOLERANCE:g}{torques})")

@@ -5,15 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.quantities import MARGINS
 
-UNITS = {
-    "M_s": "",
-    "gain_margin_db": " dB",
-    "gain_reduction_db": " dB",
-    "phase_margin_deg": "°",
-    "delay_margin_s": " s",
-}
-"""What a floor may bound, and its unit: M_s from above, the others from below."""
 CASE = ("stiffness", "delay", "ideal")
 """What a row of margins holds for: stiffness [N/m], delay [samples], ideal damping or as it runs."""
 
@@ -39,7 +32,7 @@ def plain_margins(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     Raises:
         InputError: There is none, or one has other keys or values than it must have.
     """
-    known = {*CASE, *UNITS, "spectral_radius"}
+    known = {*CASE, *MARGINS}
     plain = []
     if not isinstance(rows, list | tuple):
         raise InputError("margins", rows, "a list of tables", "Give one for each stiffness.")
@@ -67,8 +60,10 @@ def plain_floor(floor: Mapping[str, Any]) -> dict[str, float]:
     Raises:
         InputError: It bounds nothing, something unknown, or by a value that cannot refuse anything.
     """
-    if not isinstance(floor, Mapping) or not floor or not set(floor) <= set(UNITS):
-        raise InputError("floor", floor, f"a table of one or more of {', '.join(UNITS)}", "Declare what it must keep.")
+    if not isinstance(floor, Mapping) or not floor or not set(floor) <= set(MARGINS):
+        raise InputError(
+            "floor", floor, f"a table of one or more of {', '.join(MARGINS)}", "Declare what it must keep."
+        )
     plain = {key: number(f"floor.{key}", floor[key]) for key in floor}
     for key, bound in plain.items():
         if not 0.0 < bound < math.inf:
@@ -89,8 +84,8 @@ def check(margins: Iterable[Mapping[str, Any]], floor: Mapping[str, float]) -> N
             remedy = "The loop is unstable there: tune again with that stiffness in the set."
             raise InputError(f"spectral_radius {case}", f"{row['spectral_radius']:.6g}", "below 1", remedy)
         for key, bound in floor.items():
-            value, most = row[key], key == "M_s"
-            if not (value <= bound if most else value >= bound):
-                limit = f"{'at most' if most else 'at least'} {bound:g}{UNITS[key]}, the declared floor"
+            margin, value = MARGINS[key], row[key]
+            if not margin.kept(value, bound):
+                limit = f"{'at most' if margin.ceiling else 'at least'} {margin.amount(bound)}, the declared floor"
                 remedy = "Tune again with that goal, or declare a floor that it keeps."
-                raise InputError(f"{key} {case}", f"{value:.6g}{UNITS[key]}", limit, remedy)
+                raise InputError(f"{key} {case}", margin.amount(value, ".6g"), limit, remedy)

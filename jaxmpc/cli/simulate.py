@@ -132,12 +132,13 @@ def _tables(label: str, outcome: "Outcome", compared: dict[str, "Outcome"], expe
     import numpy as np
 
     from jaxmpc.cli import comparison
-    from jaxmpc.terminal.tables import RESIDUAL_HEADER, residual_rows, show
+    from jaxmpc.terminal.tables import RESIDUAL_HEADER, metric_header, metric_rows, residual_rows, show
 
     rows = residual_rows(label, outcome, experiment)
     for name, other in compared.items():
         rows += residual_rows(name, other, experiment)
     show("", RESIDUAL_HEADER, rows)
+    show("all that was measured, X / Y / Z", metric_header(experiment), metric_rows(outcome, experiment))
     if experiment.physics != "linear" and (rows := comparison.paper_rows(outcome, experiment)):
         show("beside the paper's Table I", comparison.PAPER_HEADER, rows)
         if len(deviation := 100.0 * np.abs(comparison.deviations(outcome, experiment))):

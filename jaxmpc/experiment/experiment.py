@@ -11,11 +11,11 @@ import numpy as np
 from jaxmpc.experiment.reference import Reference, wanted_force
 from jaxmpc.experiment.tables import ArmSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.synthesis.params import HP_MAX, Timing
+from jaxmpc.quantities import AXES, HP_MAX
+from jaxmpc.synthesis.params import Timing
 from jaxmpc.world.heart.motion import Motion, Seconds, Seed, Size, displacement
 from jaxmpc.world.loop_path import LoopPath, loop_path
 
-AXES = ("x", "y", "z")
 Physics = Literal["linear", "wam", "mjx"]
 Stiffness = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
 

@@ -12,10 +12,11 @@ from jaxtyping import Array, Float
 
 from jaxmpc.law import gain_backoff
 from jaxmpc.law.cascade import Gains
+from jaxmpc.quantities import HP_MAX, HU_MAX
 from jaxmpc.synthesis.feedback import state_feedback
 from jaxmpc.synthesis.kalman import active_observer_gain, input_noise_gain
 from jaxmpc.synthesis.mpc import first_move
-from jaxmpc.synthesis.params import HP_MAX, HU_MAX, Params, Timing
+from jaxmpc.synthesis.params import Params, Timing
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
 from jaxmpc.xla.precision import in_float64
 

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxmpc.quantities import HP_MAX, HU_MAX
 from jaxmpc.synthesis.linear import solve
-from jaxmpc.synthesis.params import HP_MAX, HU_MAX
 
 Scalar = Float[Array, ""]
 

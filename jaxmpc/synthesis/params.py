@@ -13,11 +13,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from jaxmpc.files.errors import InputError, nearest
-
-HP_MAX = 64
-"""Longest prediction horizon [samples]; arrays along H_p have this length and are masked."""
-HU_MAX = 16
-"""Longest control horizon [samples]."""
+from jaxmpc.quantities import HORIZONS, PARAMETERS
 
 Architecture = Literal["mpc-aob", "aob", "mpc"]
 Order = Literal[1, 2, 3]
@@ -43,24 +39,6 @@ class Timing:
             raise InputError("T_s", self.T_s, "in [1e-5, 0.1] s", "The paper's controller runs at 1e-3.")
         if self.delay not in (1, 2):
             raise InputError("delay", self.delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")
-
-
-BOUNDS: Mapping[str, tuple[float, float, str]] = {
-    "lam": (1e-12, 1e12, "-"),
-    "delta": (0.0, 1e12, "-"),
-    "Q_p": (1e-12, 1e12, "(m/s²)²/N²"),
-    "Q_x": (0.0, 1e12, "-"),
-    "R": (1e-12, 1e12, "-"),
-    "T_cl": (1e-6, 10.0, "s"),
-    "K2": (0.0, 1e4, "1/s"),
-    "Khat_s": (1.0, 1e6, "N/m"),
-    "Hp": (1, HP_MAX, "samples"),
-    "Hu": (1, HU_MAX, "samples"),
-}
-"""Smallest and largest accepted value and unit of every parameter."""
-
-DIAGONALS = {"lam": HU_MAX, "delta": HP_MAX}
-"""Parameters that may be one number or a full diagonal, and the length of that."""
 
 
 def _number(value: Any) -> Any:
@@ -150,7 +128,7 @@ class Params(eqx.Module):
         if self.guarded and self.architecture == "mpc":
             remedy = "MPC alone has no model of the tissue to scale: leave it out."
             raise InputError("guarded", self.guarded, 'false with the architecture "mpc"', remedy)
-        values = {name: getattr(self, name) for name in BOUNDS}
+        values = {name: getattr(self, name) for name in PARAMETERS}
         if all(isinstance(value, np.ndarray) for value in values.values()):
             check_values(values)
 
@@ -196,7 +174,7 @@ class Params(eqx.Module):
         Raises:
             InputError: An unknown name, a wrong type, or a value out of bounds.
         """
-        known = [*BOUNDS, *STRUCTURE]
+        known = [*PARAMETERS, *STRUCTURE]
         given: dict[str, Any] = {}
         for name, value in values.items():
             if name not in known:
@@ -225,8 +203,8 @@ class Params(eqx.Module):
         """Plain values of one controller, as `from_dict` takes them."""
         if self.batch_shape:
             raise InputError("params", f"a batch {self.batch_shape}", "one controller", "Take one with `params[i]`.")
-        values = {name: np.asarray(getattr(self, name)).tolist() for name in BOUNDS}
-        whole = {name: int(values[name]) for name in ("Hp", "Hu") if values[name] == int(values[name])}
+        values = {name: np.asarray(getattr(self, name)).tolist() for name in PARAMETERS}
+        whole = {name: int(values[name]) for name in HORIZONS if values[name] == int(values[name])}
         return {**self.structure, **values, **whole}
 
     @staticmethod
@@ -242,7 +220,7 @@ class Params(eqx.Module):
                 remedy = f"Evaluate each {name} by itself."
                 raise InputError(name, ", ".join(found) or "none", "one for the whole batch", remedy)
         columns = {}
-        for name in BOUNDS:
+        for name in PARAMETERS:
             leaves = [getattr(p, name) for p in batch]
             traced = any(isinstance(leaf, jax.Array) for leaf in leaves)
             shape = np.broadcast_shapes(*(leaf.shape for leaf in leaves))
@@ -260,7 +238,7 @@ class Params(eqx.Module):
             InputError: A value is out of bounds; names the parameter and the first such value.
         """
         rows = len(next(iter(columns.values())))
-        base = {name: getattr(self, name) for name in BOUNDS}
+        base = {name: getattr(self, name) for name in PARAMETERS}
         wide: dict[str, Any] = {name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in base.items()}
         given = {name: np.asarray(value, np.float64) for name, value in columns.items()}
         return Params(**{**wide, **given}, **self.structure)
@@ -273,15 +251,16 @@ class Params(eqx.Module):
 
 def _from_plain(name: str, value: Any) -> np.ndarray:
     """A number or a list of numbers, from a file."""
-    entries = value if isinstance(value, list) else [value]
-    if not entries or any(isinstance(x, bool) or not isinstance(x, int | float) for x in entries):
-        raise InputError(name, value, "a number", f"Its unit is [{BOUNDS[name][2]}].")
+    given = value if isinstance(value, list) else [value]
+    if not given or any(isinstance(x, bool) or not isinstance(x, int | float) for x in given):
+        raise InputError(name, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
     if not isinstance(value, list):
         return np.asarray(value, np.float64)
-    if name not in DIAGONALS or len(value) > DIAGONALS[name]:
-        length = f"a number or at most {DIAGONALS[name]} of them" if name in DIAGONALS else "one number"
+    entries = PARAMETERS[name].entries
+    if len(value) > entries:
+        length = f"a number or at most {entries} of them" if entries else "one number"
         raise InputError(name, f"{len(value)} numbers", length, "Only lam (along Hu) and delta (along Hp) take a list.")
-    return np.asarray(value + [value[-1]] * (DIAGONALS[name] - len(value)), np.float64)
+    return np.asarray(value + [value[-1]] * (entries - len(value)), np.float64)
 
 
 def check_values(values: Mapping[str, np.ndarray]) -> None:
@@ -291,12 +270,12 @@ def check_values(values: Mapping[str, np.ndarray]) -> None:
         InputError: Names the parameter, the first wrong value, the bound and the remedy.
     """
     for name, value in values.items():
-        low, high, unit = BOUNDS[name]
+        unit, (low, high) = PARAMETERS[name].unit, PARAMETERS[name].bounds
         wrong = ~(np.isfinite(value) & (value >= low) & (value <= high))
         if wrong.any():
             remedy = f"Correct {name}; a typical value is {getattr(Params(), name)} {unit}."
             raise InputError(name, value[wrong].flat[0], f"in [{low:g}, {high:g}] {unit}", remedy)
-    for name in ("Hp", "Hu"):
+    for name in HORIZONS:
         fractional = values[name] != np.floor(values[name])
         if fractional.any():
             raise InputError(name, values[name][fractional].flat[0], "a whole number of samples", f"Round {name}.")

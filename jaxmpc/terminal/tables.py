@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxmpc.quantities import AXES, MARGINS, METRICS
+
 if TYPE_CHECKING:
     from jaxmpc.evaluation import Outcome
     from jaxmpc.experiment import Experiment
@@ -42,13 +44,7 @@ def residual_rows(label: str, outcome: "Outcome", experiment: "Experiment") -> l
     for i, stiffness in enumerate(experiment.stiffness):
         pairs = zip(outcome.metrics.peak_to_peak[i], outcome.metrics.rms[i], strict=True)
         residuals = [f"{number(pp, 2)} / {number(rms)}" for pp, rms in pairs]
-        found = outcome.margins
-        margins = [
-            number(found.M_s[i], 2),
-            f"{number(found.gain_margin_db[i], 1)} / −{number(found.gain_reduction_db[i], 1)}",
-            number(found.phase_margin_deg[i], 0),
-            number(1e3 * found.delay_margin_s[i], 1),
-        ]
+        margins = [row.entry(getattr(outcome.margins, name)[i]) for name, row in MARGINS.items()]
         rows.append([label, f"{stiffness:g}", *residuals, *margins, Status(int(outcome.status[i])).name])
     return rows
 
@@ -56,12 +52,22 @@ def residual_rows(label: str, outcome: "Outcome", experiment: "Experiment") -> l
 RESIDUAL_HEADER = (
     "controller",
     "K_s N/m",
-    "X pp/RMS N",
-    "Y pp/RMS N",
-    "Z pp/RMS N",
-    "M_s",
-    "GM dB",
-    "PM °",
-    "DM ms",
+    *(f"{axis.upper()} pp/RMS [N]" for axis in AXES),
+    *(margin.heading for margin in MARGINS.values()),
     "status",
 )
+
+
+def metric_rows(outcome: "Outcome", experiment: "Experiment") -> list[list[str]]:
+    """One row per metric: its three axes on each stiffness, see `metric_header`."""
+    rows = []
+    for name, metric in METRICS.items():
+        cells = getattr(outcome.metrics, name)[: len(experiment.stiffness)]
+        each = (" / ".join(map(metric.entry, axes)) for axes in cells)
+        rows.append([metric.heading, *each])
+    return rows
+
+
+def metric_header(experiment: "Experiment") -> list[str]:
+    """Headings of `metric_rows`."""
+    return ["metric", *(f"{stiffness:g} N/m" for stiffness in experiment.stiffness)]

@@ -9,11 +9,11 @@ import scipy.signal
 
 from jaxmpc import Params, design
 from jaxmpc.law.cascade import Gains
+from jaxmpc.quantities import HP_MAX, HU_MAX
 from jaxmpc.synthesis import _design, design_one
 from jaxmpc.synthesis.feedback import state_feedback
 from jaxmpc.synthesis.kalman import dare
 from jaxmpc.synthesis.mpc import first_move, horizon_mask
-from jaxmpc.synthesis.params import HP_MAX, HU_MAX
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
 
 T_S = 1e-3

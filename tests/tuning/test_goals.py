@@ -7,7 +7,7 @@ import pytest
 
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
-from tuning.job.goals import MARGINS, OVERSHOOT, measured, standing
+from tuning.job.goals import OVERSHOOT, margin_goals, run_goals
 
 LIMITS = {
     "M_s": 2.0,
@@ -25,15 +25,15 @@ def found(radius: float = 0.99, **changes: float) -> Margins:
 
 
 def test_every_goal_is_one_at_its_limit() -> None:
-    np.testing.assert_allclose(standing(found(), LIMITS).normalised, 1.0)
-    assert float(standing(found(), LIMITS).violation) == 0.0
+    np.testing.assert_allclose(margin_goals(found(), LIMITS).normalised, 1.0)
+    assert float(margin_goals(found(), LIMITS).violation) == 0.0
 
 
-@pytest.mark.parametrize("name", MARGINS)
+@pytest.mark.parametrize("name", LIMITS)
 def test_better_is_below_one_and_worse_is_above(name: str) -> None:
     better, worse = (0.8, 1.25) if name == "M_s" else (1.25, 0.8)
     row = list(LIMITS).index(name)
-    good, bad = (standing(found(**{name: factor * LIMITS[name]}), LIMITS) for factor in (better, worse))
+    good, bad = (margin_goals(found(**{name: factor * LIMITS[name]}), LIMITS) for factor in (better, worse))
     assert float(good.normalised[row, 0]) == pytest.approx(0.8)
     assert float(good.violation) == 0.0
     assert float(bad.normalised[row, 0]) == pytest.approx(1.25)
@@ -41,19 +41,19 @@ def test_better_is_below_one_and_worse_is_above(name: str) -> None:
 
 
 def test_an_infinite_margin_meets_its_goal() -> None:
-    assert float(standing(found(gain_reduction_db=np.inf), LIMITS).normalised[2, 0]) == 0.0
+    assert float(margin_goals(found(gain_reduction_db=np.inf), LIMITS).normalised[2, 0]) == 0.0
 
 
 def test_unstable_is_worse_than_any_stable_loop_and_falls_with_the_radius() -> None:
-    edge = standing(found(M_s=1e9, **dict.fromkeys(list(LIMITS)[1:], 1e-9)), LIMITS)
+    edge = margin_goals(found(M_s=1e9, **dict.fromkeys(list(LIMITS)[1:], 1e-9)), LIMITS)
 
     def violation(radius: float) -> float:
         unstable = {"M_s": np.inf, **dict.fromkeys(list(LIMITS)[1:], np.nan)}
-        return standing(found(radius, **unstable), LIMITS).violation
+        return margin_goals(found(radius, **unstable), LIMITS).violation
 
     assert float(violation(1.2)) > float(violation(1.01)) > float(edge.violation)
     assert float(jax.grad(violation)(1.1)) == pytest.approx(1 / 1.1)
-    assert np.isposinf(standing(found(1.1), LIMITS).normalised).all()
+    assert np.isposinf(margin_goals(found(1.1), LIMITS).normalised).all()
 
 
 def cells(**fields: np.ndarray) -> Metrics:
@@ -66,7 +66,7 @@ def test_a_goal_of_the_runs_sees_its_axis_and_its_reference() -> None:
     before = rms * 2.0
     before[1, 2, 0] = np.nan
     limits = {"rms": 2.0, "rms_z": 4.0, "rms_ratio": 0.5, "effort_x": 10.0, "chatter": 4.0, OVERSHOOT: 0.2}
-    found = measured(cells(rms=rms), cells(rms=before), np.array([0.1, 0.3]), limits)
+    found = run_goals(cells(rms=rms), cells(rms=before), np.array([0.1, 0.3]), limits)
     np.testing.assert_allclose(found["rms"], rms / 2.0)
     np.testing.assert_allclose(found["rms_z"], rms[..., 2:] / 4.0)
     np.testing.assert_allclose(found["effort_x"], 0.1)

@@ -9,8 +9,8 @@ import pytest
 from jaxmpc import Params
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec, pareto
-from tuning.job.result import judge
 from tuning.objective.problem import problem_of, training
+from tuning.proof.result import judge
 from tuning.search.front import handed_on, table
 from tuning.search.multifidelity import SAME, proposed, run_levels
 from tuning.search.state import SearchState

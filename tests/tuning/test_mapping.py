@@ -141,7 +141,7 @@ def test_the_search_ends_where_another_solver_does(case: Case) -> None:
 def test_a_correction_turns_what_was_said_into_what_was_measured() -> None:
     """Peaks from the RMS; where the spectra say nothing there is nothing to correct."""
     random = np.random.default_rng(0)
-    fine, coarse = (Metrics(*random.uniform(1.0, 2.0, (6, 2, 3, 1, 3))) for _ in range(2))
+    fine, coarse = (Metrics(*random.uniform(1.0, 2.0, (len(Metrics._fields), 2, 3, 1, 3))) for _ in range(2))
     coarse = coarse._replace(
         peak_to_peak=np.full((2, 3, 1, 3), np.nan), effort=coarse.effort * (np.arange(3) > 0), chatter=2.0 * coarse.rms
     )

@@ -12,9 +12,9 @@ import pytest
 from jaxmpc import margins
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
-from tuning.job.goals import standing
+from tuning.job.goals import margin_goals
 from tuning.objective.designed import measure
-from tuning.objective.loss import HEADROOM, PEAK_TO_RMS, PENALTY, Values, look, seen, seen_soft
+from tuning.objective.loss import HEADROOM, PENALTY, Values, look, seen, seen_soft
 from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.optimise import optimiser
 
@@ -98,6 +98,7 @@ def test_full_diagonals_have_a_gradient_per_entry(small: Job) -> None:
     assert dead == {f"lam[{i}]" for i in range(6, 17)} | {f"delta[{i}]" for i in range(31, 65)}
 
 
+CREST = METRICS["peak_to_peak"].crest
 SOFT = {"chatter": 0.6, "effort_z": 2.0, "peak_to_peak": 0.35}
 HARD = {"chatter": 0.5, "effort_x": 1.0, "peak_to_peak": 0.5}
 
@@ -109,7 +110,11 @@ def test_a_level_without_time_sees_all_but_peaks_and_has_stand_ins_for_them() ->
     assert seen(HARD, level(None)) == tuple(HARD)
     assert seen(HARD, level("some")) == ("chatter", "effort_x")
     assert seen_soft(level(None, **SOFT)) == SOFT
-    assert seen_soft(level("some", **SOFT)) == {"chatter": 0.6, "effort_z": 2.0, "rms": 0.35 / PEAK_TO_RMS}
+    assert seen_soft(level("some", **SOFT)) == {
+        "chatter": 0.6,
+        "effort_z": 2.0,
+        "rms": 0.35 / CREST,
+    }
     assert seen_soft(level("some", peak_to_peak_ratio=0.7)) == {"rms_ratio": 0.7}
     assert seen_soft(level("some", peak_to_peak_ratio=0.7, rms_x=0.1)) == {"rms_x": 0.1}, "a residual leads already"
 
@@ -130,7 +135,7 @@ def test_effort_and_chatter_are_goals_from_spectra_as_in_time(small: Job) -> Non
         np.asarray(field[0]) for field in (found.cells.chatter, found.cells.effort, found.cells.rms)
     )
     np.testing.assert_allclose(found.hard[0, 1:], [chatter.max() / 0.5, effort[..., 0].max() / 1.0])
-    expected = [chatter.max() / 0.6, effort[..., 2].max() / 2.0, rms.max() * PEAK_TO_RMS / 0.35]
+    expected = [chatter.max() / 0.6, effort[..., 2].max() / 2.0, rms.max() * CREST / 0.35]
     np.testing.assert_allclose(found.soft[0], expected)
     missed = sum(1.0 - 1.0 / value + HEADROOM for value in found.hard[0, 1:])
     assert float(found.loss[0]) == pytest.approx(float(np.log(found.score[0])) + PENALTY * missed)
@@ -190,5 +195,5 @@ def test_goals_keep_their_names_through_the_compiled_program(small: Job) -> None
     spec = TuneSpec.from_dict(small(goals=goals, tune={"duration": 0.4, "settle": 0.1}, experiment=QUIET))
     seen = problem(spec).look(np.tile(spec.space.encode(spec.params), (2, 1)), 1.0).hard[0]
     found = margins(spec.params, spec.judged_at)
-    expected = np.asarray(standing(found, spec.margin_goals).normalised).max(axis=1)
+    expected = np.asarray(margin_goals(found, spec.margin_goals).normalised).max(axis=1)
     np.testing.assert_allclose(seen, expected, rtol=0.02)

@@ -10,7 +10,7 @@ from jaxmpc import Experiment, Params, evaluate
 from jaxmpc.experiment.reference import Reference
 from jaxmpc.files.errors import InputError
 from tuning.job.scenarios import Rhythm, Scenarios, describe, scenario, scenarios
-from tuning.proof.heldout import compare
+from tuning.objective.comparison import compare
 
 ARM = msgspec.structs.replace(Experiment.published("table-1-wam"), duration=0.5, settle=0.1, reference=Reference())
 WIDE = Scenarios(rhythms=get_args(Rhythm), friction=0.3, mass=0.1, stiffness=0.2, delays=(1, 2))

@@ -16,13 +16,13 @@ from jaxmpc.stability.response import loop_response
 from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
-from tuning.job.result import judge
 from tuning.objective.loss import HEADROOM, PENALTY
 from tuning.objective.problem import Problem
 from tuning.proof.agreement import agreement, spearman
 from tuning.proof.gradients import SCORE, judged_on, looked, on_tissue, slopes
 from tuning.proof.limits import limits, multipliers_of
 from tuning.proof.loops import curves
+from tuning.proof.result import judge
 from tuning.proof.sensitivities import log_slopes, sensitivities, vector_of
 from tuning.proof.split import split
 from tuning.reports.files import write

@@ -7,7 +7,7 @@ import pytest
 from jaxmpc import Params
 from jaxmpc.files.errors import InputError
 from tuning import TuneSpec
-from tuning.objective.transforms import FREE
+from tuning.job.space import FREE
 
 
 def spec_of(folder: Path, text: str) -> TuneSpec:

@@ -18,7 +18,7 @@ from jaxmpc.files.sealed import unseal
 from jaxmpc.files.toml import write_toml
 from tuning import TuneSpec
 from tuning.job.scenarios import scenarios
-from tuning.proof.heldout import compare
+from tuning.objective.comparison import compare
 
 Job = Callable[..., dict[str, Any]]
 

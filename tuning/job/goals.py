@@ -1,6 +1,7 @@
 """Goals on margins and on what a run measures, each a number that is at most 1 where the goal is met."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -8,44 +9,51 @@ from jaxtyping import Array, Float
 
 from jaxmpc.experiment import AXES
 from jaxmpc.metrics import Metrics
+from jaxmpc.quantities import MARGINS, METRICS, Metric, Quantity
 from jaxmpc.stability import Margins
 
-MARGINS: Mapping[str, str] = {
-    "M_s": "",
-    "gain_margin_db": "dB",
-    "gain_reduction_db": "dB",
-    "phase_margin_deg": "deg",
-    "delay_margin_s": "s",
-}
-"""Margins that may be goals, and their units: M_s is a ceiling, the others are floors."""
+RATIO = "ratio"
 OVERSHOOT = "overshoot"
 """Overshoot of the linear loop after a step of the reference, worst tissue, relative to the step [-]."""
-PEAK = "peak_to_peak"
-"""Where the names of those goals begin that only runs in time can see."""
-_MEASURED = {"rms": "N", PEAK: "N", "effort": "m/s²", "chatter": "m/s²"}
-MEASURED: Mapping[str, str] = {
-    **{f"{name}{axis}": unit for name, unit in _MEASURED.items() for axis in ("", *(f"_{axis}" for axis in AXES))},
-    "rms_ratio": "",
-    f"{PEAK}_ratio": "",
-    OVERSHOOT: "",
+
+
+class RunGoal(NamedTuple):
+    """What of a metric is bounded."""
+
+    metric: Metric
+    part: str
+    """"" on every axis, the name of one axis, or `RATIO`: to the start point's value in the same scenario, tissue and
+    axis."""
+
+
+RUN_GOALS: Mapping[str, RunGoal] = {
+    f"{name}_{part}" if part else name: RunGoal(metric, part)
+    for name, metric in METRICS.items()
+    for part in ("", *AXES, RATIO)
 }
-"""What may be a goal of the runs, and its unit: on every axis or on one; a ratio is to the start point's value in the
-same scenario, tissue and axis. All are ceilings."""
-UNITS: Mapping[str, str] = {**MARGINS, **MEASURED}
+MEASURED: Mapping[str, Quantity] = {
+    **{
+        name: replace(goal.metric, name=name, unit="-" if goal.part == RATIO else goal.metric.unit)
+        for name, goal in RUN_GOALS.items()
+    },
+    OVERSHOOT: Quantity(OVERSHOOT, "-", "force beyond a step of its reference, of the linear loop", OVERSHOOT),
+}
+"""What may be a goal of the runs."""
+GOALS: Mapping[str, Quantity] = {**MARGINS, **MEASURED}
 
 
-class Standing(NamedTuple):
+class MarginGoals(NamedTuple):
     """How a loop stands to its margins."""
 
     normalised: Float[Array, "goals ..."]
-    """M_s/limit or limit/margin [-]: at most 1 where met, ∞ where unstable."""
+    """Value/limit of a ceiling such as M_s, else limit/value [-]: at most 1 where met, ∞ where unstable."""
     inverse: Float[Array, "goals ..."]
     """Its inverse [-]: at least 1 where met, 0 where unstable."""
     violation: Float[Array, "..."]
-    """What is to be brought to zero [-], summed over goals and stiffness; see `standing`."""
+    """What is to be brought to zero [-], summed over goals and stiffness; see `margin_goals`."""
 
 
-def standing(margins: Margins, limits: Mapping[str, Any], headroom: float = 0.0) -> Standing:
+def margin_goals(margins: Margins, limits: Mapping[str, Any], headroom: float = 0.0) -> MarginGoals:
     r"""Margins of one controller over its stiffnesses, stability first; traceable, differentiable.
 
         violation = Σ max(0, 1 − 1/g + headroom)   where every stiffness is stable, g the normalised goal
@@ -60,16 +68,17 @@ def standing(margins: Margins, limits: Mapping[str, Any], headroom: float = 0.0)
         headroom: How far inside its limit a goal is aimed at [-].
     """
     none = jnp.zeros((0, *margins.M_s.shape))
-    rows = [limit / margins.M_s if name == "M_s" else getattr(margins, name) / limit for name, limit in limits.items()]
+    values = {name: getattr(margins, name) for name in limits}
+    rows = [limit / values[name] if MARGINS[name].ceiling else values[name] / limit for name, limit in limits.items()]
     inverse = jnp.stack(rows) if rows else none
     stable = margins.spectral_radius < 1.0
     inverse = jnp.where(stable, inverse, 0.0)
     missed = jnp.sum(jnp.maximum(1.0 - inverse + headroom, 0.0))
     outside = jnp.sum(jnp.maximum(jnp.log(margins.spectral_radius), 0.0)) + inverse.size
-    return Standing(1.0 / inverse, inverse, jnp.where(jnp.all(stable), missed, outside))
+    return MarginGoals(1.0 / inverse, inverse, jnp.where(jnp.all(stable), missed, outside))
 
 
-def measured(
+def run_goals(
     metrics: Metrics, reference: Metrics, overshoot: Any, limits: Mapping[str, Any]
 ) -> dict[str, Float[Array, "... stiffness scenarios axes"]]:
     """Goals on what the runs measured, normalised; traceable, differentiable.
@@ -86,17 +95,17 @@ def measured(
     """
     found = {}
     for name, limit in limits.items():
-        stem, _, axis = name.rpartition("_")
         if name == OVERSHOOT:
-            cells = overshoot[..., None, None]
-        elif axis == "ratio":
-            before = getattr(reference, stem)
+            found[name] = overshoot[..., None, None] / limit
+            continue
+        metric, part = RUN_GOALS[name]
+        cells = getattr(metrics, metric.name)
+        if part == RATIO:
+            before = getattr(reference, metric.name)
             known = jnp.isfinite(before) & (before > 0.0)
-            cells = jnp.where(known, getattr(metrics, stem) / jnp.where(known, before, 1.0), 0.0)
-        elif axis in AXES:
-            place = AXES.index(axis)
-            cells = getattr(metrics, stem)[..., place : place + 1]
-        else:
-            cells = getattr(metrics, name)
+            cells = jnp.where(known, cells / jnp.where(known, before, 1.0), 0.0)
+        elif part:
+            place = AXES.index(part)
+            cells = cells[..., place : place + 1]
         found[name] = cells / limit
     return found

@@ -15,12 +15,13 @@ from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.sealed import digest
 from jaxmpc.files.toml import convert, known_keys, located, read_toml
-from jaxmpc.synthesis.params import BOUNDS, DIAGONALS, Params
-from tuning.job.goals import MARGINS, MEASURED, UNITS
+from jaxmpc.quantities import HORIZONS, MARGINS, PARAMETERS, Quantity
+from jaxmpc.synthesis.params import Params
+from tuning.job.goals import GOALS, MEASURED
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import Level, TuneSettings
-from tuning.objective.transforms import FREE, HORIZONS, SearchSpace, axis_of
+from tuning.job.space import FREE, SearchSpace, axis_of
 
 Bounds = tuple[float, float]
 SOFT = {"rms": 0.05}
@@ -58,13 +59,13 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     def __post_init__(self) -> None:
         self.tune.check(self.experiment.physics)
         self.scenarios.check(self.experiment)
-        _check_goals(self.goals, "goals", UNITS)
+        _check_goals(self.goals, "goals", GOALS)
         _check_goals(self.soft, "goals.soft", MEASURED)
         for name, limits in self.pareto.items():
             if not isinstance(limits, list | tuple) or not limits:
                 raise InputError(f"pareto.{name}", limits, "a list of limits", "Write such as [1.6, 2.0, 3.0].")
             for limit in limits:
-                _check_goals({name: limit}, "pareto", UNITS)
+                _check_goals({name: limit}, "pareto", GOALS)
         if self.params.batch_shape:
             raise InputError("params", f"a batch {self.params.batch_shape}", "one controller", "Give one start point.")
         if not self.free:
@@ -74,8 +75,8 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         for name in self.tune.diagonals:
             if name not in self.free:
                 raise InputError("tune.diagonals", name, "a free parameter", f"Add `{name} = true` to [tune.free].")
-        for name in DIAGONALS:
-            if name in self.free and name not in self.tune.diagonals and getattr(self.params, name).ndim:
+        for name in self.free:
+            if name not in self.tune.diagonals and getattr(self.params, name).ndim:
                 remedy = f'Add "{name}" to tune.diagonals, or start from one number.'
                 raise InputError(f"params.{name}", "a diagonal", "one number to be tuned as one", remedy)
 
@@ -223,7 +224,7 @@ def _free(table: Any) -> dict[str, Bounds | None]:
     return free
 
 
-def _check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, str]) -> None:
+def _check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, Quantity]) -> None:
     for name, limit in goals.items():
         if name in MARGINS and name not in known:
             raise InputError(f"{table}.{name}", limit, "a goal of the runs", "Margins are held: put it under [goals].")
@@ -233,14 +234,14 @@ def _check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, str])
         low = 1.0 if name == "M_s" else 0.0
         number = isinstance(limit, int | float) and not isinstance(limit, bool)
         if not (number and low < limit < math.inf):
-            bound = f"a number above {low:g} {UNITS[name]}".strip()
+            bound = f"a number above {known[name].amount(low)}"
             raise InputError(f"{table}.{name}", limit, bound, "Give a limit.")
 
 
 def _check_bounds(name: str, bounds: Bounds | None, params: Params) -> None:
-    if name not in BOUNDS:
-        raise InputError(f"tune.free.{name}", bounds or "true", "a known parameter", nearest(name, list(BOUNDS)))
-    low, high, unit = BOUNDS[name]
+    if name not in PARAMETERS:
+        raise InputError(f"tune.free.{name}", bounds or "true", "a known parameter", nearest(name, list(PARAMETERS)))
+    unit, (low, high) = PARAMETERS[name].unit, PARAMETERS[name].bounds
     axis = axis_of(name, bounds, False, params.disturbance_order)
     for value in (axis.low, axis.high):
         if not (math.isfinite(value) and low <= value <= high):

@@ -13,18 +13,21 @@ from jaxmpc.engine.rollout import AxisSignals, run, scalars
 from jaxmpc.engine.scene import ProgramSpec, ScenarioData, simulate_cells
 from jaxmpc.law.cascade import Gains
 from jaxmpc.metrics import Metrics
+from jaxmpc.quantities import HP_MAX, METRICS
 from jaxmpc.spectra.effort import chatter_rms, effort_rms
 from jaxmpc.spectra.residual import residual_rms
 from jaxmpc.spectra.spectrum import Spectrum
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design_one
-from jaxmpc.synthesis.params import HP_MAX, Params
+from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath
 from tuning.job.risk import Risk
-from tuning.objective.transforms import FreeParameter
+from tuning.job.space import FreeParameter
 
+SPECTRAL = {"rms": residual_rms, "effort": effort_rms, "chatter": chatter_rms}
+"""Metrics that a frequency response and a spectrum give."""
 STEP_SAMPLES = 512
 """Length of the step response in which the overshoot is looked for [samples]."""
 
@@ -105,19 +108,21 @@ def cells_of(controllers: Designed, data: Data, kind: ProblemStructure) -> Metri
         return cells
 
     def spectral(gains: Gains, contact: Contact, spectrum: Spectrum) -> Metrics:
-        loop = gains, contact, spectrum
-        rms, effort, chatter = residual_rms(*loop), effort_rms(*loop), chatter_rms(*loop)
-        peak = jnp.full_like(rms, jnp.nan)
-        return Metrics(rms, peak, effort, chatter, peak, peak)
+        known = {name: function(gains, contact, spectrum) for name, function in SPECTRAL.items()}
+        return Metrics(**{name: known.get(name, jnp.full_like(known["rms"], jnp.nan)) for name in METRICS})
 
     over_scenarios = jax.vmap(spectral, in_axes=(None, None, 0))
     over_tissues = jax.vmap(over_scenarios, in_axes=(None, 0, None))
     found: Metrics = jax.vmap(over_tissues, in_axes=(0, 0, None))(controllers.gains, controllers.contacts, data.spectra)
     if data.correction is None:
         return found
-    seen_by_it = found._replace(peak_to_peak=found.rms, peak_force=found.rms, peak_error=found.rms)
-    corrected: Metrics = jax.tree.map(jnp.multiply, seen_by_it, data.correction)
+    corrected: Metrics = jax.tree.map(jnp.multiply, following_rms(found), data.correction)
     return corrected
+
+
+def following_rms(spectral: Metrics) -> Metrics:
+    """What spectra tell of a loop, the residual's RMS in place of every metric that they do not."""
+    return spectral._replace(**{name: spectral.rms for name, metric in METRICS.items() if not metric.spectral})
 
 
 def overshoot_of(controllers: Designed, kind: ProblemStructure) -> Float[Array, "starts stiffness"]:

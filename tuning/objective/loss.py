@@ -8,17 +8,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
-from tuning.job.goals import OVERSHOOT, PEAK, Standing, measured, standing
+from tuning.job.goals import OVERSHOOT, RATIO, RUN_GOALS, MarginGoals, margin_goals, run_goals
 from tuning.job.risk import soft_worst
+from tuning.job.space import SearchSpace
 from tuning.objective.designed import Data, Designed, ProblemStructure, cells_of, designed, overshoot_of
-from tuning.objective.transforms import SearchSpace
 
 PENALTY = 10.0
 """Price of a violation in units of log residual: above its Lagrange multiplier (some 2) the penalty is exact."""
 HEADROOM = 0.002
 """How far inside their limits the goals are aimed at, so that the last steps do not hover outside [-]."""
-PEAK_TO_RMS = 6.0
-"""Peak-to-peak of a residual over its RMS, 5.7 to 6.6 on Table I's arm [-]: weighs a peak's stand-in."""
 
 
 class Values(NamedTuple):
@@ -47,7 +45,7 @@ class Judged(NamedTuple):
 
     controllers: Designed
     stable: Any
-    margins: Standing
+    margins: MarginGoals
     cells: Metrics
     """(starts, stiffness, scenarios, 3)"""
     soft: dict[str, Array]
@@ -85,7 +83,7 @@ def judge(controllers: Designed, data: Data, kind: ProblemStructure) -> Judged:
     """Run and judge designed controllers; traceable."""
     stable = jnp.all(controllers.found.spectral_radius < 1.0, axis=1)
     limits = {name: jnp.broadcast_to(limit, stable.shape) for name, limit in data.margins.items()}
-    margins = jax.vmap(lambda found, limits: standing(found, limits, HEADROOM))(controllers.found, limits)
+    margins = jax.vmap(lambda found, limits: margin_goals(found, limits, HEADROOM))(controllers.found, limits)
     # An unstable loop would run away and make even the unused slope NaN: it stands still instead.
     safe = controllers._replace(gains=jax.tree.map(lambda gain: _where(stable, gain, 0.0), controllers.gains))
     cells = cells_of(safe, data, kind)
@@ -93,7 +91,7 @@ def judge(controllers: Designed, data: Data, kind: ProblemStructure) -> Judged:
 
     def goals(limits: Mapping[str, Any]) -> dict[str, Array]:
         wide = {name: jnp.reshape(limit, (-1, 1, 1, 1)) for name, limit in limits.items()}
-        return measured(cells, data.reference, overshoot, wide)
+        return run_goals(cells, data.reference, overshoot, wide)
 
     soft, hard = goals(seen_soft(data)), goals({name: data.hard[name] for name in seen(data.hard, data)})
     per_scenario = jnp.concatenate([jnp.moveaxis(goal, 2, 1).reshape(*goal.shape[::2], -1) for goal in _wide(soft)], 2)
@@ -156,17 +154,19 @@ def value_alone(z: Float[Array, "starts size"], data: Data, width: Any, kind: Pr
 def seen(goals: Mapping[str, Any], data: Data) -> tuple[str, ...]:
     """The goals on the runs that a level can see: without time there are no peaks, only mean squares."""
     blind = data.spectra is not None and data.correction is None
-    return tuple(name for name in goals if not (blind and name.startswith(PEAK)))
+    return tuple(name for name in goals if not (blind and name in RUN_GOALS and not RUN_GOALS[name].metric.spectral))
 
 
 def seen_soft(data: Data) -> dict[str, Any]:
-    """Limits of the soft goals that a level sees; where it would see no residual, the RMS stands in for its peaks."""
+    """Limits of the soft goals that a level sees; where it would see no residual, the RMS stands in for the others."""
     found = {name: data.soft[name] for name in seen(data.soft, data)}
-    if any(name.startswith("rms") for name in found):
+    if any(name in RUN_GOALS and RUN_GOALS[name].metric.name == "rms" for name in found):
         return found
-    peaks = {name: limit for name, limit in data.soft.items() if name not in found}
-    scale = {name: 1.0 if name.endswith("_ratio") else PEAK_TO_RMS for name in peaks}
-    return found | {name.replace(PEAK, "rms"): limit / scale[name] for name, limit in peaks.items()}
+    for name, limit in data.soft.items():
+        if name not in found:
+            metric, part = RUN_GOALS[name]
+            found[name.replace(metric.name, "rms")] = limit / (1.0 if part == RATIO else metric.crest)
+    return found
 
 
 def _where(stable: Array, value: Array, otherwise: float) -> Array:

@@ -16,6 +16,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.spectra.input_disturbance import uncompensated_acceleration
 from jaxmpc.spectra.spectrum import spectrum_of
+from tuning.job.goals import RATIO, RUN_GOALS
 from tuning.job.scenarios import scenarios, scene_over
 from tuning.job.settings import Level
 from tuning.job.spec import TuneSpec
@@ -122,10 +123,10 @@ def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Probl
         soft=dict(spec.soft),
         judged=spec.experiment.loop_path(spec.ideal),
         judged_at=spec.judged_at if level == spec.ladder[-1] else coarser(spec),
-        reference=Metrics(*[jnp.ones(cells)] * len(Metrics._fields)),
+        reference=Metrics(**dict.fromkeys(Metrics._fields, jnp.ones(cells))),
     )
     data = jax.tree.map(jnp.asarray, data)
-    if any(name.endswith("_ratio") for name in {**spec.soft, **spec.goals}):
+    if any(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in {**spec.soft, **spec.goals}):
         old = spec.met_before(met)
         scene, spectra = jax.tree.map(jnp.asarray, _seen(level, old))
         world = program_spec(old[0]) if level == "arm" else kind.world

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmpc.xla.precision import in_float64
-from tuning.job.result import LOST, TuneResult
 from tuning.job.settings import Level
 from tuning.proof.gradients import looked
+from tuning.proof.result import LOST, TuneResult
 from tuning.search.multifidelity import Step
 
 MOST = 24

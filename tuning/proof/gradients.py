@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from tuning.job.goals import MARGINS
+from tuning.job.goals import GOALS
 from tuning.objective.loss import PENALTY, Values
 from tuning.objective.problem import Problem
 
@@ -98,8 +98,7 @@ def on_tissue(problem: Problem, which: int) -> Problem:
 
 
 def _moved(problem: Problem, name: str, easier: np.ndarray) -> jax.Array:
-    """Limits that are so many times as easy to meet: M_s and what the runs measure are ceilings, the rest floors."""
+    """Limits that are so many times as easy to meet."""
     limit = (problem.data.margins if name in problem.data.margins else problem.data.hard)[name]
-    ceiling = name == "M_s" or name not in MARGINS
     # Of the very type of the job's limit, so that the program stays the same.
-    return jnp.stack([limit * factor if ceiling else limit / factor for factor in easier.tolist()])
+    return jnp.stack([limit * factor if GOALS[name].ceiling else limit / factor for factor in easier.tolist()])

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmpc.xla.precision import in_float64
-from tuning.job.goals import standing
-from tuning.job.result import TuneResult
+from tuning.job.goals import margin_goals
 from tuning.proof.gradients import SCORE, Slope, judged_on, slopes
+from tuning.proof.result import TuneResult
 from tuning.proof.sensitivities import vector_of
 
 ACTIVE = 0.97
@@ -78,7 +78,9 @@ def active_margins(result: TuneResult) -> list[tuple[str, float, float]]:
     spec = result.spec
     judged: Any = jax.tree.map(lambda field: field[1], result.margins["ideal" if spec.ideal else "as run"])
     found = []
-    for name, row in zip(spec.margin_goals, np.asarray(standing(judged, spec.margin_goals).normalised), strict=True):
+    for name, row in zip(
+        spec.margin_goals, np.asarray(margin_goals(judged, spec.margin_goals).normalised), strict=True
+    ):
         padded = np.concatenate([[-np.inf], row, [-np.inf]])
         peaks = (row > ACTIVE) & (row >= padded[:-2]) & (row > padded[2:])
         found += [(name, float(spec.judged_at[i]), float(row[i])) for i in np.flatnonzero(peaks)]

@@ -7,9 +7,9 @@ import numpy as np
 
 from jaxmpc.metrics import Metrics
 from jaxmpc.xla.precision import in_float64
-from tuning.job.goals import MARGINS, OVERSHOOT, UNITS, measured
-from tuning.job.result import TuneResult
+from tuning.job.goals import GOALS, OVERSHOOT, run_goals
 from tuning.proof.loops import curves
+from tuning.proof.result import TuneResult
 
 
 class Row(NamedTuple):
@@ -24,11 +24,6 @@ class Row(NamedTuple):
     """Where the tuned controller stands worst [N/m]."""
 
     @property
-    def ceiling(self) -> bool:
-        """Whether the limit is one from above."""
-        return self.name == "M_s" or self.name not in MARGINS
-
-    @property
     def kind(self) -> str:
         """Hard or soft."""
         return "hard" if self.hard else "soft"
@@ -36,13 +31,13 @@ class Row(NamedTuple):
     @property
     def met(self) -> bool:
         """Whether the tuned controller holds it."""
-        after = self.reached[1]
-        return after <= self.limit if self.ceiling else after >= self.limit
+        return bool(GOALS[self.name].kept(self.reached[1], self.limit))
 
     @property
     def text(self) -> str:
         """Name, limit and unit."""
-        return f"{self.name} {'≤' if self.ceiling else '≥'} {self.limit:g} {UNITS[self.name]}".strip()
+        goal = GOALS[self.name]
+        return f"{self.name} {goal.sign} {goal.amount(self.limit)}"
 
 
 def kept(result: TuneResult) -> np.ndarray:
@@ -60,8 +55,8 @@ def rows(result: TuneResult) -> list[Row]:
     for name, limit in spec.margin_goals.items():
         # A margin of an unstable loop is no number, its M_s ∞.
         values = getattr(judged, name)
-        worst = np.max(values, axis=1) if name == "M_s" else np.min(values, axis=1)
-        place = np.argmax(values[1]) if name == "M_s" else np.argmin(values[1])
+        worst = GOALS[name].worst(values, axis=1)
+        place = (np.argmax if GOALS[name].ceiling else np.argmin)(values[1])
         found.append(Row(name, True, limit, (float(worst[0]), float(worst[1])), float(spec.judged_at[place])))
     limits = [(name, limit, True) for name, limit in spec.hard_goals.items()]
     limits += [(name, limit, False) for name, limit in spec.soft.items()]
@@ -70,7 +65,7 @@ def rows(result: TuneResult) -> list[Row]:
         overshoot = [curves(params, spec.experiment, spec.ideal).overshoot for params in (spec.before, result.params)]
     before, after = (_cells(result, which) for which in (0, 1))
     for name, limit, hard in limits:
-        pair = [measured(cells, before, overshoot[i], {name: 1.0})[name] for i, cells in enumerate((before, after))]
+        pair = [run_goals(cells, before, overshoot[i], {name: 1.0})[name] for i, cells in enumerate((before, after))]
         per_tissue = np.max(np.asarray(pair[1]), axis=(1, 2))
         largest = [float(np.max(np.asarray(values))) for values in pair]
         K_s = spec.experiment.stiffness[int(np.argmax(per_tissue))]

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxmpc.quantities import HORIZONS
 from jaxmpc.xla.precision import in_float64
-from tuning.job.result import TuneResult
 from tuning.job.settings import Level
-from tuning.objective.transforms import HORIZONS, SearchSpace
+from tuning.job.space import SearchSpace
 from tuning.proof.gradients import SCORE, Slope, on_tissue, slopes
+from tuning.proof.result import TuneResult
 
 
 class Sensitivities(NamedTuple):

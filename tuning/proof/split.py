@@ -14,8 +14,8 @@ from jaxmpc.stability.loop import contact_of
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
-from tuning.job.result import TuneResult
 from tuning.objective.problem import training
+from tuning.proof.result import TuneResult
 
 MOST = 8
 """Scenarios of training that it is averaged over, at most."""

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmpc.experiment import AXES
-from tuning.job.result import TuneResult
 from tuning.proof.agreement import Agreement, agreement
 from tuning.proof.gradients import SCORE
 from tuning.proof.limits import RELAXED, LimitStudy, limits
 from tuning.proof.loops import Curves, curves
+from tuning.proof.result import TuneResult
 from tuning.proof.sensitivities import Sensitivities, sensitivities
 from tuning.proof.split import CAUSES, Split, split
 from tuning.reports.html import Html, note, picture, section, table, tag

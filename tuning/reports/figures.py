@@ -7,10 +7,9 @@ import numpy as np
 
 from jaxmpc.experiment import AXES
 from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
-from jaxmpc.synthesis.params import BOUNDS
-from tuning.job.result import TuneResult
-from tuning.objective.transforms import HORIZONS
+from jaxmpc.quantities import HORIZONS, PARAMETERS
 from tuning.proof.reached import kept
+from tuning.proof.result import TuneResult
 from tuning.search.multifidelity import Step
 from tuning.search.state import FEASIBLE, SearchState
 
@@ -57,7 +56,7 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
             panel = next(panels)
             entries = values[:, :, end - axis.size : end]
             name = f"{axis.name}, geometric mean" if axis.length else axis.name
-            title = f"{name} [{BOUNDS[axis.name][2]}]"
+            title = f"{name} [{PARAMETERS[axis.name].unit}]"
             _lines(panel, np.exp(np.mean(np.log(entries), axis=2)), chosen, title, step.descent)
             if axis.name not in HORIZONS:
                 logarithmic(panel)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxmpc import __version__
 from jaxmpc.files.sealed import seal, write_atomic
 from jaxmpc.files.toml import write_toml
-from tuning.job.result import TuneResult
+from tuning.proof.result import TuneResult
 from tuning.reports.explained import study
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.loop_figures import nyquist_figure, sensitivity_figure, step_figure

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from jaxmpc.pictures.figures import ACCENT, figure
-from tuning.job.result import TuneResult
 from tuning.proof.loops import Curves
+from tuning.proof.result import TuneResult
 from tuning.reports.figures import BOTH, logarithmic
 
 ABREAST = 4

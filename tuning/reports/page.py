@@ -8,24 +8,24 @@ import numpy as np
 
 from jaxmpc import __version__
 from jaxmpc.experiment import AXES
-from jaxmpc.synthesis.params import BOUNDS, STRUCTURE
-from tuning.job.result import KINDS, TuneResult
+from jaxmpc.quantities import METRICS, PARAMETERS, Metric
+from jaxmpc.synthesis.params import STRUCTURE
 from tuning.job.scenarios import describe
 from tuning.proof.loops import Curves
 from tuning.proof.reached import Row, kept, rows, verdict
+from tuning.proof.result import KINDS, TuneResult
 from tuning.reports.explained import Study, explained
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.html import Html, fold, note, page, picture, section, table, tag
 from tuning.reports.loop_figures import nyquist_figure, sensitivity_figure, step_figure
 from tuning.reports.text import (
-    MARGIN_HEADS,
-    METRICS,
     brief,
     lost_text,
     lowered,
-    millinewton,
+    margin_heads,
     percent,
     seeds_used,
+    shown,
     worst_margins,
 )
 
@@ -38,7 +38,7 @@ def html_report(result: TuneResult, study: Study) -> str:
         study: What explains it.
     """
     spec, (before, after) = result.spec, result.worst
-    unmet = result.unmet()
+    rms, unmet = METRICS["rms"], result.unmet()
     change = f" ({-100 * result.gain:+.1f} %)" if np.isfinite(result.gain) else ""
     title = f"Tuning report: {spec.experiment.name}"
     histories = (
@@ -49,7 +49,7 @@ def html_report(result: TuneResult, study: Study) -> str:
         title,
         tag("h1", title),
         tag("p", verdict(result) + ".", class_="bad" if unmet else "good"),
-        tag("p", f"Worst held-out residual RMS: {millinewton(before)} → {millinewton(after)} mN{change}."),
+        tag("p", f"Worst held-out residual RMS: {shown(rms, before)} → {shown(rms, after)} mN{change}."),
         _heldout(result),
         section("Goals", table(GOAL_HEAD, map(_goal, rows(result))), note(_goal_note(result))),
         _parameters(result),
@@ -81,35 +81,35 @@ def _goal_note(result: TuneResult) -> str:
 def _heldout(result: TuneResult) -> Html:
     seeds, stiffness, counted = result.spec.tune.heldout_seeds, result.spec.experiment.stiffness, kept(result)
     tables = []
-    for metric, title in METRICS:
-        cells, fell = getattr(result.heldout, metric), lowered(result, metric)
+    for metric in METRICS.values():
+        cells, fell = getattr(result.heldout, metric.name), lowered(result, metric.name)
         worst = cells[:, counted].max(axis=1)
         lines, each = [], []
         for i, K_s in enumerate(stiffness):
-            changes = zip(_arrows(worst[:, i]), map(percent, fell[i]), strict=True)
+            changes = zip(_arrows(metric, worst[:, i]), map(percent, fell[i]), strict=True)
             lines.append([f"{K_s:g}", *(entry for pair in changes for entry in pair)])
-            each += [[f"{seed}, {K_s:g} N/m", *_arrows(cells[:, s, i])] for s, seed in enumerate(seeds)]
+            each += [[f"{seed}, {K_s:g} N/m", *_arrows(metric, cells[:, s, i])] for s, seed in enumerate(seeds)]
         head = [entry for axis in AXES for entry in (f"{axis}, worst", "over all")]
-        tables.append(table([f"{title} [mN] at K_s [N/m]", *head], lines))
-        tables.append(fold(f"{title} in every scenario [mN]", table(["seed, K_s", *AXES], each)))
+        tables.append(table([f"{metric.heading} at K_s [N/m]", *head], lines))
+        tables.append(fold(f"{metric.heading} in every scenario: {metric.text}", table(["seed, K_s", *AXES], each)))
     figure = picture(partial(before_after_figure, result))
     words = "Bars are medians, whiskers ranges; the pointer resting on a bar shows each scenario. "
     lost = "" if result.held.all() else lost_text(result).capitalize() + "."
     return section("Residual on held-out scenarios", figure, note(words, lost), *tables)
 
 
-def _arrows(pair: np.ndarray) -> list[str]:
-    """Forces before and after, (2, 3), as text per axis."""
-    return [f"{millinewton(before)} → {millinewton(after)}" for before, after in pair.T]
+def _arrows(metric: Metric, pair: np.ndarray) -> list[str]:
+    """Values before and after, (2, 3), as text per axis."""
+    return [f"{shown(metric, before)} → {shown(metric, after)}" for before, after in pair.T]
 
 
 def _parameters(result: TuneResult) -> Html:
     spec, both = result.spec, (result.spec.before, result.params)
     bounds = {axis.name: f"{axis.low:g} … {axis.high:g}" for axis in spec.space.axes}
     lines, folds = [], []
-    for name, (_, _, unit) in BOUNDS.items():
+    for name, row in PARAMETERS.items():
         values = [np.asarray(getattr(params, name)) for params in both]
-        lines.append([name, *map(brief, values), unit, bounds.get(name, "frozen")])
+        lines.append([name, *map(brief, values), row.unit, bounds.get(name, "frozen")])
         if any(value.ndim for value in values):
             entries = (", ".join(f"{x:.4g}" for x in value.ravel()) for value in values)
             lists = (tag("p", f"{when}: {entry}") for when, entry in zip(("before", "after"), entries, strict=True))
@@ -132,13 +132,13 @@ def _added(result: TuneResult) -> Iterator[Html]:
 def _robustness(result: TuneResult, loops: tuple[Curves, Curves]) -> Html:
     spec = result.spec
     pairs = {kind: worst_margins(result, kind) for kind in KINDS}
-    lines = [[kind, *(f"{after:.2f} ({before:.2f})" for before, after in each)] for kind, each in pairs.items()]
+    lines = [[kind, *(f"{after} ({before})" for before, after in each)] for kind, each in pairs.items()]
     cut = "" if spec.ideal else " Of its two cuts, at v and at a = v − K₂ẋ, the worse is shown."
     kind = "ideal loop" if spec.ideal else "loop as it runs"
     return section(
         "Robustness",
         note(f"Worst margins over {spec.judged_at[0]:g}–{spec.judged_at[-1]:g} N/m, after (before)."),
-        table(("loop", *MARGIN_HEADS), lines),
+        table(("loop", *margin_heads()), lines),
         picture(partial(sensitivity_figure, result, loops)),
         note(f"Sensitivity |S| = |1/(1 + L)| of the {kind}.{cut}"),
         picture(partial(nyquist_figure, result, loops)),

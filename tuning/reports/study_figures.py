@@ -6,8 +6,8 @@ import numpy as np
 
 from jaxmpc.experiment import AXES
 from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
-from tuning.job.result import TuneResult
 from tuning.proof.agreement import Agreement
+from tuning.proof.result import TuneResult
 from tuning.proof.sensitivities import Sensitivities
 from tuning.proof.split import Split
 from tuning.reports.figures import HINT, logarithmic

@@ -5,15 +5,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmpc.experiment import AXES
-from jaxmpc.synthesis.params import BOUNDS
-from tuning.job.result import KINDS, TuneResult
+from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Metric
 from tuning.job.scenarios import describe
 from tuning.proof.limits import active_margins
 from tuning.proof.reached import kept, rows, verdict
+from tuning.proof.result import KINDS, TuneResult
 from tuning.search.state import FEASIBLE
-
-MARGIN_HEADS = ("M_s", "gain up dB", "gain down dB", "phase deg", "delay ms")
-METRICS = (("rms", "residual RMS"), ("peak_to_peak", "residual peak to peak"))
 
 
 def report(result: TuneResult) -> str:
@@ -23,14 +20,14 @@ def report(result: TuneResult) -> str:
     lines = [verdict(result), "", *_goals(result), "", *_parameters(result), ""]
     lines += [f"{name}: {seeds}" for name, seeds in seeds_used(result)]
     lines += [lost_text(result)] if not result.held.all() else []
-    for metric, title in METRICS:
-        lines += ["", *_heldout(result, metric, title)]
-    lines.append(f"worst RMS of all: {millinewton(before)} → {millinewton(after)} mN{change}")
+    for metric in METRICS.values():
+        lines += ["", *_heldout(result, metric)]
+    lines.append(f"worst RMS of all: {shown(METRICS['rms'], before)} → {shown(METRICS['rms'], after)} mN{change}")
     lines += ["", f"worst margins over {spec.judged_at[0]:g}–{spec.judged_at[-1]:g} N/m, after (before)"]
-    lines.append(f"{'loop':<8}" + "".join(f"{name:>18}" for name in MARGIN_HEADS))
+    lines.append(f"{'loop':<8}" + "".join(f"{name:>18}" for name in margin_heads()))
     for kind in KINDS:
         pairs = worst_margins(result, kind)
-        lines.append(f"{kind:<8}" + "".join(f"{f'{after:.2f} ({before:.2f})':>18}" for before, after in pairs))
+        lines.append(f"{kind:<8}" + "".join(f"{f'{after} ({before})':>18}" for before, after in pairs))
     for name, K_s, normalised in active_margins(result):
         stands = "active" if normalised <= FEASIBLE else "missed"
         lines.append(f"{name} is {stands} at {K_s:.4g} N/m, {100 * normalised:.1f} % of its limit")
@@ -71,17 +68,21 @@ def lowered(result: TuneResult, metric: str) -> np.ndarray:
     return np.full((len(result.spec.experiment.stiffness), 3), np.nan)
 
 
-def worst_margins(result: TuneResult, kind: str) -> list[tuple[float, float]]:
-    """Each of `MARGIN_HEADS` at its worst over the judged tissues, before and after."""
-    m = result.margins[kind]
-    columns = [np.max(m.M_s, axis=1), *(np.min(field, axis=1) for field in m[1:5])]
-    columns[4] = 1e3 * columns[4]
-    return [(float(before), float(after)) for before, after in columns]
+def worst_margins(result: TuneResult, kind: str) -> list[tuple[str, str]]:
+    """Every margin at its worst over the judged tissues, before and after, in the unit of `margin_heads`."""
+    found = result.margins[kind]
+    columns = [map(row.entry, row.worst(getattr(found, name), axis=1)) for name, row in MARGINS.items()]
+    return [(before, after) for before, after in columns]
 
 
-def millinewton(force: float) -> str:
-    """A force in millinewton."""
-    return f"{1e3 * force:.1f}" if np.isfinite(force) else "unstable"
+def margin_heads() -> list[str]:
+    """Headings of `worst_margins`."""
+    return [margin.heading for margin in MARGINS.values()]
+
+
+def shown(metric: Metric, value: float) -> str:
+    """A value in the unit of the metric's heading."""
+    return metric.entry(value) if np.isfinite(value) else "unstable"
 
 
 def percent(share: float) -> str:
@@ -110,17 +111,18 @@ def _parameters(result: TuneResult) -> Iterator[str]:
     yield f"{'parameter':<10} {'before':>12} {'after':>12}  unit"
     for axis in result.spec.space.axes:
         values = (brief(np.asarray(getattr(params, axis.name))) for params in (result.spec.before, result.params))
-        yield f"{axis.name:<10} " + " ".join(f"{value:>12}" for value in values) + f"  {BOUNDS[axis.name][2]}"
+        yield f"{axis.name:<10} " + " ".join(f"{value:>12}" for value in values) + f"  {PARAMETERS[axis.name].unit}"
 
 
-def _heldout(result: TuneResult, metric: str, title: str) -> Iterator[str]:
-    yield f"{title}, worst of the held-out scenarios [mN] and how far it fell over all of them"
+def _heldout(result: TuneResult, metric: Metric) -> Iterator[str]:
+    yield f"{metric.text}: {metric.heading}, worst of the held-out scenarios, and how far it fell over all of them"
     yield f"{'K_s [N/m]':<10} " + " ".join(f"{axis + ' before':>9} {'after':>7} {'':>8}" for axis in AXES)
-    fell = lowered(result, metric)
+    fell = lowered(result, metric.name)
     for i, K_s in enumerate(result.spec.experiment.stiffness):
-        cells = getattr(result.heldout, metric)[:, kept(result), i].max(axis=1)
+        cells = getattr(result.heldout, metric.name)[:, kept(result), i].max(axis=1)
         row = (
-            f"{millinewton(cells[0, a]):>9} {millinewton(cells[1, a]):>7} {percent(fell[i, a]):>8}" for a in range(3)
+            f"{shown(metric, cells[0, a]):>9} {shown(metric, cells[1, a]):>7} {percent(fell[i, a]):>8}"
+            for a in range(3)
         )
         yield f"{K_s:<10g} " + " ".join(row)
     yield f"least {percent(fell.min())}, median {percent(float(np.median(fell)))}"

@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
+from jaxmpc.quantities import HORIZONS
 from tuning.job.spec import TuneSpec
 from tuning.objective.designed import Data, ProblemStructure
 from tuning.objective.loss import HEADROOM, constrained
 from tuning.objective.problem import Problem
-from tuning.objective.transforms import HORIZONS
 
 REACH = 1.0
 """How far a search may go from where it begins, per unconstrained number: beyond, a correction says little."""

@@ -15,9 +15,10 @@ import numpy as np
 from jaxmpc.files.sealed import write_atomic
 from jaxmpc.metrics import Metrics
 from jaxmpc.pictures.figures import figure
-from jaxmpc.synthesis.params import BOUNDS, Params
+from jaxmpc.quantities import METRICS, PARAMETERS
+from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.precision import in_float64
-from tuning.job.goals import MARGINS, UNITS
+from tuning.job.goals import GOALS
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import problem_of, training
 from tuning.search.multifidelity import run_levels
@@ -61,13 +62,13 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
         way = run_levels(spec, folder, progress)
         spec, z = msgspec.structs.replace(way.spec, pareto=spec.pareto), way.steps[-1].state.leader_z
     # Of a floor the smaller is the looser.
-    combined = list(product(*(sorted(values, reverse=not _floor(name)) for name, values in spec.pareto.items())))
+    combined = list(product(*(sorted(values, reverse=GOALS[name].ceiling) for name, values in spec.pareto.items())))
     limits = {name: np.array([row[i] for row in combined]) for i, name in enumerate(spec.pareto)}
     job = msgspec.structs.replace(spec, goals={**spec.goals, **{name: combined[0][i] for i, name in enumerate(limits)}})
     problem = problem_of(job, spec.ladder[-1], training(spec, spec.tune.train_seeds)).with_limits(limits)
     goals = [*job.margin_goals, *problem.hard_goals]
     asked = np.stack([limits.get(name, np.full(len(combined), job.goals[name])) for name in goals], axis=1)
-    floors = np.array([_floor(name) for name in goals])
+    floors = np.array([not GOALS[name].ceiling for name in goals])
     starts = np.tile(z, (len(combined), 1))
     for leg in range(LEGS):
         plan = schedule(max(1, round(SHARE * spec.tune.steps)), False, spec.tune.learning_rate * 0.5**leg)
@@ -113,21 +114,16 @@ def handed_on(state: SearchState, asked: np.ndarray, floors: np.ndarray) -> np.n
     return own
 
 
-def _floor(name: str) -> bool:
-    """Whether a goal is held from below."""
-    return name in MARGINS and name != "M_s"
-
-
 def table(front: Front) -> str:
     """The front as CSV."""
     names = [f"limit_{name}" for name in front.limits] + [f"reached_{name}" for name in front.limits]
-    lines = [",".join([*names, "score", "worst_rms_N", "effort_m_s2", *BOUNDS])]
+    lines = [",".join([*names, "score", *(f"worst_{name} [{row.unit}]" for name, row in METRICS.items()), *PARAMETERS])]
     for i, params in enumerate(front.params):
         numbers = [*(values[i] for values in front.limits.values()), *front.hard[i], front.score[i]]
-        numbers += [front.cells.rms[i].max(), front.cells.effort[i].max()]
-        found = [np.asarray(getattr(params, name)) for name in BOUNDS] if params else []
+        numbers += [getattr(front.cells, name)[i].max() for name in METRICS]
+        found = [np.asarray(getattr(params, name)) for name in PARAMETERS] if params else []
         entries = [f"{value:.6g}" if value.ndim == 0 else " ".join(f"{x:.6g}" for x in value) for value in found]
-        entries += [""] * (len(BOUNDS) - len(entries))
+        entries += [""] * (len(PARAMETERS) - len(entries))
         lines.append(",".join([*(f"{number:.6g}" for number in numbers), *entries]))
     return "\n".join(lines) + "\n"
 
@@ -145,9 +141,9 @@ def front_figure(front: Front, path: Path) -> None:
         for row in np.unique(rest, axis=0):
             line = (rest == row).all(axis=1)
             bounds = zip(others, row, strict=True)
-            label = ", ".join(f"{name} {'≥' if _floor(name) else '≤'} {value:g}" for name, value in bounds)
+            label = ", ".join(f"{name} {GOALS[name].sign} {value:g}" for name, value in bounds)
             panel.plot(front.hard[line, 0], front.score[line], "o-", ms=4, label=label or None)
-        panel.set_xlabel(f"{first} {UNITS[first]}".strip())
+        panel.set_xlabel(f"{first} [{GOALS[first].unit}]")
         panel.set_ylabel("score of the soft goals")
         if others:
             panel.legend()

@@ -25,6 +25,7 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.terminal.progress import progress
 from jaxmpc.xla.precision import in_float64
 from tuning.job.spec import TuneSpec
+from tuning.objective.designed import following_rms
 from tuning.objective.loss import Values
 from tuning.objective.problem import Problem, problem_of
 from tuning.search.corrected import minimised
@@ -105,13 +106,12 @@ def spectra_of(spec: TuneSpec, problem: Problem, met: Sequence[Experiment]) -> P
 
 def correction(fine: Metrics, coarse: Metrics) -> Metrics:
     """Factors that turn what the spectra say of a point into what was measured there."""
-    seen = coarse._replace(peak_to_peak=coarse.rms, peak_force=coarse.rms, peak_error=coarse.rms)
 
     def factor(measured: np.ndarray, said: np.ndarray) -> np.ndarray:
         usable = (said > 0.0) & np.isfinite(said)
         return np.where(usable, measured / np.where(usable, said, 1.0), 1.0)
 
-    factors: Metrics = jax.tree.map(factor, fine, seen)
+    factors: Metrics = jax.tree.map(factor, fine, following_rms(coarse))
     return factors
 
 

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmpc.experiment import Experiment
+from jaxmpc.quantities import HORIZONS
 from jaxmpc.terminal.progress import progress
 from tuning.job.settings import Level
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
-from tuning.objective.transforms import HORIZONS
 from tuning.search.mapping import PROPOSED, refine
 from tuning.search.optimise import descend, schedule
 from tuning.search.state import SearchState

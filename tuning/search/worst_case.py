@@ -8,10 +8,10 @@ import numpy as np
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
-from tuning.job.goals import OVERSHOOT, measured
+from tuning.job.goals import OVERSHOOT, run_goals
 from tuning.job.spec import TuneSpec
+from tuning.objective.comparison import versus
 from tuning.objective.problem import training
-from tuning.proof.heldout import versus
 from tuning.search.state import SearchState
 
 FIRST_SEED = 1_000_000
@@ -63,6 +63,6 @@ def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> np.ndarray:
     """
     asked = {name: limit for name, limit in spec.soft.items() if name != OVERSHOOT} or {"rms": 1.0}
     swapped, reference = jax.tree.map(lambda field: np.swapaxes(field, 0, 1), (after, before))
-    goals = measured(swapped, reference, None, asked)
+    goals = run_goals(swapped, reference, None, asked)
     largest: np.ndarray = np.max([np.asarray(goal).max(axis=(0, 2)) for goal in goals.values()], axis=0)
     return np.where(np.isnan(largest), np.inf, largest)

@@ -7,7 +7,7 @@ import pytest
 
 from jaxmpc import Experiment, Params
 from jaxmpc.metrics import Metrics
-from tuning.proof import heldout
+from tuning.objective import comparison
 
 
 def test_controllers_of_several_structures_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -17,8 +17,8 @@ def test_controllers_of_several_structures_keep_their_order(monkeypatch: pytest.
         batches.append(len(batch.Khat_s))
         return Metrics(*[np.asarray(batch.Khat_s)] * len(Metrics._fields))
 
-    monkeypatch.setattr(heldout, "_compare", told)
+    monkeypatch.setattr(comparison, "_compare", told)
     stiffness = [100.0, 200.0, 300.0, 400.0]
     controllers = [Params(Khat_s=K, guarded=K in (200.0, 400.0)) for K in stiffness]
-    found = heldout.compare(controllers, [Experiment.published("table-1")])
+    found = comparison.compare(controllers, [Experiment.published("table-1")])
     assert (found.rms.tolist(), batches) == (stiffness, [2, 2])

@@ -10,10 +10,10 @@ from jaxmpc import margins
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
 from jaxmpc.synthesis.params import Params
-from tuning.job.goals import UNITS, standing
+from tuning.job.goals import GOALS, margin_goals
 from tuning.job.scenarios import scenarios
 from tuning.job.spec import TuneSpec
-from tuning.proof.heldout import versus
+from tuning.objective.comparison import versus
 from tuning.search.multifidelity import LevelHistory, Step
 from tuning.search.state import FEASIBLE, SearchState
 from tuning.search.worst_case import standing_of
@@ -85,7 +85,7 @@ class TuneResult:
             K_s, radius = stiffness[int(np.argmax(judged.spectral_radius))], float(np.max(judged.spectral_radius))
             return f"no stable point was found: at {K_s:g} N/m the closest one has spectral radius {radius:.4f}"
         limits = self.spec.margin_goals
-        normalised = np.asarray(standing(judged, limits).normalised)
+        normalised = np.asarray(margin_goals(judged, limits).normalised)
         worst = {name: float(row.max()) for name, row in zip(limits, normalised, strict=True)}
         step = self.steps[-1]
         last = int(np.flatnonzero((step.state.path[:, step.state.leader] == step.state.leader_z).all(axis=1))[0])
@@ -94,10 +94,8 @@ class TuneResult:
         name = max(worst, key=lambda goal: worst[goal], default="")
         if not name or worst[name] <= FEASIBLE:
             return ""
-        unit = f" {UNITS[name]}" if UNITS[name] else ""
-        ceiling = name == "M_s" or name not in limits
-        limit = self.spec.goals[name]
-        found = limit * worst[name] if ceiling else limit / worst[name]
+        goal, limit = GOALS[name], self.spec.goals[name]
+        found = limit * worst[name] if goal.ceiling else limit / worst[name]
         where = ""
         if name in limits:
             tissue = stiffness[int(np.argmax(normalised[list(limits).index(name)]))]
@@ -106,8 +104,8 @@ class TuneResult:
             K_s = self.spec.experiment.stiffness[int(step.state.tissue[last, step.state.leader])]
             where = f" in training, worst on {K_s:g} N/m"
         return (
-            f"no point meets every goal: {name} {'≤' if ceiling else '≥'} {limit:g}{unit} is missed by "
-            f"{abs(found - limit):.3g}{unit}{where} by the point that came closest"
+            f"no point meets every goal: {name} {goal.sign} {goal.amount(limit)} is missed by "
+            f"{goal.amount(abs(found - limit), '.3g')}{where} by the point that came closest"
         )
 
 

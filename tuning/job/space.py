@@ -6,7 +6,7 @@ with `low` and `high` on the axis A: mid-way between the bounds one unit of z mo
 that one learning rate suits a parameter with sixteen decades of room and one with a factor of two.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,38 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxmpc.synthesis.params import BOUNDS, DIAGONALS, HP_MAX, HU_MAX, Params
+from jaxmpc.quantities import HORIZONS, PARAMETERS
+from jaxmpc.synthesis.params import Params
 
 EDGE = 1e-3
 """Start values are kept this share of the room away from their bounds, where the slope vanishes."""
-HORIZONS = ("Hp", "Hu")
-
-
-class Default(NamedTuple):
-    """Room and pace of one parameter, where the spec says nothing."""
-
-    low: float
-    high: float
-    scale: float
-    """Change per unit of z: in the logarithm, or in samples."""
-
-
-DEFAULTS: Mapping[str, Default] = {
-    "lam": Default(1e-4, 1e3, 1.0),
-    "delta": Default(1e-3, 1e3, 1.0),
-    "Q_p": Default(1e-2, 1e3, 1.0),
-    "Q_x": Default(1e-14, 1e2, 3.0),
-    "R": Default(1e-3, 1e3, 1.0),
-    "T_cl": Default(1e-4, 2e-2, 1.0),
-    "K2": Default(1.0, 100.0, 1.0),
-    "Khat_s": Default(100.0, 4000.0, 1.0),
-    "Hp": Default(2.0, HP_MAX, 10.0),
-    "Hu": Default(1.0, HU_MAX, 3.0),
-}
-Q_P_BY_ORDER: Mapping[int, Default] = {2: Default(1e-9, 1e1, 2.0), 3: Default(1e-12, 1e-1, 3.0)}
-"""Those of Q_p for an active state of higher order, whose differences are smaller by a factor of some 1e-3 each."""
-FREE = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s", "Hp", "Hu")
-"""Free by default; δ and R only set the scales of λ and Q."""
+FREE = tuple(name for name, row in PARAMETERS.items() if row.free)
+"""Free by default."""
 
 
 class FreeParameter(NamedTuple):
@@ -116,7 +91,7 @@ class SearchSpace:
             z: Unconstrained.
             width: Softness of the horizons [samples]; at 1 they are rounded to whole samples, H_u ≤ H_p.
         """
-        values: dict[str, Any] = {name: jnp.asarray(getattr(self.base, name), jnp.float64) for name in BOUNDS}
+        values: dict[str, Any] = {name: jnp.asarray(getattr(self.base, name), jnp.float64) for name in PARAMETERS}
         for axis, part in zip(self.axes, self._parts, strict=True):
             values[axis.name] = axis.value(z[part] if axis.length else z[part][0])
         whole = {name: jnp.round(values[name]) for name in HORIZONS}
@@ -150,7 +125,7 @@ class SearchSpace:
     def exact(self, z: np.ndarray) -> Params:
         """The controller that a vector stands for, horizons rounded, as plain arrays; guarded if the base is."""
         rounded = self.decode(jnp.asarray(z), 1.0)
-        values: dict[str, Any] = {name: np.asarray(getattr(rounded, name)) for name in BOUNDS}
+        values: dict[str, Any] = {name: np.asarray(getattr(rounded, name)) for name in PARAMETERS}
         return Params(**values, **self.base.structure)
 
 
@@ -163,6 +138,7 @@ def axis_of(name: str, bounds: tuple[float, float] | None, diagonal: bool, order
         diagonal: Whether each entry of its diagonal is free by itself.
         order: Disturbance order of the controller.
     """
-    default = Q_P_BY_ORDER.get(order, DEFAULTS[name]) if name == "Q_p" else DEFAULTS[name]
-    low, high = bounds or default[:2]
-    return FreeParameter(name, float(low), float(high), default.scale, DIAGONALS[name] if diagonal else 0)
+    row = PARAMETERS[name]
+    low, high, scale = row.search_of_order.get(order, row.search)
+    low, high = bounds or (low, high)
+    return FreeParameter(name, float(low), float(high), scale, row.entries if diagonal else 0)

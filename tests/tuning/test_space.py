@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from jaxmpc import Params
-from jaxmpc.synthesis.params import HP_MAX, HU_MAX
-from tuning.objective.transforms import DEFAULTS, FREE, SearchSpace, axis_of
+from jaxmpc.quantities import HP_MAX, HU_MAX, PARAMETERS
+from tuning.job.space import FREE, SearchSpace, axis_of
 
 
-@pytest.mark.parametrize("name", DEFAULTS)
+@pytest.mark.parametrize("name", PARAMETERS)
 def test_round_trip_inside_the_bounds(name: str) -> None:
     axis = axis_of(name, None, False)
     middle = np.sqrt(axis.low * axis.high) if axis.log else 0.5 * (axis.low + axis.high)
@@ -18,14 +18,14 @@ def test_round_trip_inside_the_bounds(name: str) -> None:
         assert float(axis.value(jnp.asarray(axis.unconstrained(value)))) == pytest.approx(value, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", DEFAULTS)
+@pytest.mark.parametrize("name", PARAMETERS)
 def test_one_unit_in_the_middle_is_one_scale(name: str) -> None:
     axis = axis_of(name, None, False)
     slope = jax.grad(lambda z: jnp.log(axis.value(z)) if axis.log else axis.value(z))(0.0)
     assert float(slope) == pytest.approx(axis.scale, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", DEFAULTS)
+@pytest.mark.parametrize("name", PARAMETERS)
 def test_derivative_against_central_differences(name: str) -> None:
     axis = axis_of(name, None, False)
     for z in (-1.3, 0.4, 2.0):
@@ -34,7 +34,7 @@ def test_derivative_against_central_differences(name: str) -> None:
         assert float(jax.grad(axis.value)(z)) == pytest.approx(float(difference), rel=1e-6)
 
 
-@pytest.mark.parametrize("name", DEFAULTS)
+@pytest.mark.parametrize("name", PARAMETERS)
 def test_bounds_are_never_left(name: str) -> None:
     axis = axis_of(name, None, False)
     ends = axis.value(jnp.asarray([-1e6, 1e6]))

@@ -1,0 +1,177 @@
+"""The table of quantities: what a run measures, how far a loop is from instability, what a controller is made of.
+
+A row says all that goals, sweeps, tables, reports, freezing and the robot's own checks have to know of a quantity, so
+that a new one is written here and where it is computed, nowhere else. No row needs JAX.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+HP_MAX = 64
+"""Longest prediction horizon [samples]; arrays along H_p have this length and are masked."""
+HU_MAX = 16
+"""Longest control horizon [samples]."""
+
+AXES = ("x", "y", "z")
+
+Sense = Literal["ceiling", "floor", "none"]
+SearchRange = tuple[float, float, float]
+"""Lowest and highest value, and the change per unit of a search's variable: in the logarithm, or in samples."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with a name, the same in every file, table and goal."""
+
+    name: str
+    unit: str
+    """SI; "-" where there is none."""
+    text: str
+    """A few words that explain it."""
+    symbol: str
+    """As matplotlib sets it."""
+    sense: Sense = "ceiling"
+    """How a limit bounds it: from above, from below, or not at all."""
+    head: str = ""
+    """Its heading in a table, without the unit."""
+    shown_unit: str = ""
+    """Unit in a table, where that is another one."""
+    times: float = 1.0
+    """A value times this is in the unit of a table."""
+    digits: int = 2
+    """Decimals in a table."""
+
+    @property
+    def label(self) -> str:
+        """Text, symbol and unit, for the axis of a figure."""
+        return f"{self.text} {self.symbol} [{self.unit}]"
+
+    @property
+    def heading(self) -> str:
+        """Heading and unit of a column."""
+        unit = self.shown_unit or self.unit
+        return f"{self.head or self.name}{'' if unit == '-' else f' [{unit}]'}"
+
+    @property
+    def ceiling(self) -> bool:
+        """Whether a limit bounds it from above."""
+        return self.sense == "ceiling"
+
+    @property
+    def sign(self) -> str:
+        """How it stands to its limit where that is kept: ≤ or ≥."""
+        return "≤" if self.ceiling else "≥"
+
+    def entry(self, value: Any) -> str:
+        """A value in a table; – where there is none, ∞ where there is no limit."""
+        value = self.times * float(value)
+        if math.isnan(value):
+            return "–"
+        return "∞" if math.isinf(value) else f"{value:.{self.digits}f}"
+
+    def amount(self, value: Any, digits: str = "g") -> str:
+        """A value with its unit."""
+        unit = {"-": "", "deg": "°"}.get(self.unit, f" {self.unit}")
+        return f"{value:{digits}}{unit}"
+
+    def worst(self, values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> Any:
+        """The value that is farthest from keeping a limit; NaN where one is."""
+        return np.max(values, axis=axis) if self.ceiling else np.min(values, axis=axis)
+
+    def kept(self, value: Any, limit: Any) -> Any:
+        """Whether a value keeps a limit; never so where it is not a number."""
+        return value <= limit if self.ceiling else value >= limit
+
+
+@dataclass(frozen=True)
+class Metric(Quantity):
+    """What a run measures, per tissue and axis."""
+
+    spectral: bool = False
+    """Whether a spectrum tells it; what only time tells follows the residual's RMS there."""
+    crest: float = 1.0
+    """Its usual ratio to the residual's RMS, where that stands in for it; a weight, no more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter(Quantity):
+    """What a controller is designed from."""
+
+    sense: Sense = "none"
+    bounds: tuple[float, float]
+    """Smallest and largest accepted value."""
+    search: SearchRange
+    """In a search, where nobody says otherwise."""
+    search_of_order: Mapping[int, SearchRange] = field(default_factory=dict)
+    """The same for an active state of higher order, where that differs."""
+    free: bool = True
+    """Whether a search moves it unless told otherwise."""
+    whole: bool = False
+    """Whether it counts samples."""
+    entries: int = 0
+    """Length of the diagonal that may stand for the number; 0 where none may."""
+
+
+Row = TypeVar("Row", bound=Quantity)
+
+
+def _table(*rows: Row) -> Mapping[str, Row]:
+    return MappingProxyType({row.name: row for row in rows})
+
+
+METRICS = _table(
+    Metric("rms", "N", "residual force, root mean square", "RMS", "ceiling", "RMS", "mN", 1e3, 1, spectral=True),
+    # 5.7 to 6.6 times the RMS on Table I's arm.
+    Metric("peak_to_peak", "N", "residual force, peak to peak", "pp", "ceiling", "pp", "mN", 1e3, 1, crest=6.0),
+    Metric("effort", "m/s²", "acceleration asked of the robot, root mean square", "$a$", spectral=True),
+    Metric("chatter", "m/s²", "its change from sample to sample, root mean square", r"$\Delta a$", spectral=True),
+    Metric("peak_force", "N", "largest force over the whole run", "$|y|$", head="peak force"),
+    Metric("peak_error", "N", "largest residual force", "$|e|$", "ceiling", "peak error", "mN", 1e3, 1, crest=3.0),
+)
+"""Fields of `jaxmpc.metrics.Metrics`."""
+
+MARGINS = _table(
+    Quantity("M_s", "-", "peak sensitivity", "$M_s$"),
+    Quantity("gain_margin_db", "dB", "gain increase to instability", "GM", "floor", "GM"),
+    Quantity("gain_reduction_db", "dB", "gain decrease to instability", "GR", "floor", "GR"),
+    Quantity("phase_margin_deg", "deg", "smallest lag to instability", "PM", "floor", "PM", "°"),
+    Quantity("delay_margin_s", "s", "smallest added delay to instability", "DM", "floor", "DM", "ms", 1e3),
+    Quantity("spectral_radius", "-", "largest eigenvalue of the closed loop", r"$\rho$", head="radius", digits=4),
+)
+"""Fields of `jaxmpc.stability.Margins`, but for the status."""
+
+PARAMETERS = _table(
+    Parameter("lam", "-", "weight on moves", "λ", bounds=(1e-12, 1e12), search=(1e-4, 1e3, 1.0), entries=HU_MAX),
+    Parameter(
+        "delta", "-", "weight on errors", "δ", bounds=(0.0, 1e12), search=(1e-3, 1e3, 1.0), entries=HP_MAX, free=False
+    ),
+    Parameter(
+        "Q_p",
+        "(m/s²)²/N²",
+        "variance of the active state",
+        "$Q_p$",
+        bounds=(1e-12, 1e12),
+        search=(1e-2, 1e3, 1.0),
+        # Differences of higher order are smaller by a factor of some 1e-3 each.
+        search_of_order={2: (1e-9, 1e1, 2.0), 3: (1e-12, 1e-1, 3.0)},
+    ),
+    Parameter("Q_x", "-", "variance of the states", "$Q_x$", bounds=(0.0, 1e12), search=(1e-14, 1e2, 3.0)),
+    Parameter(
+        "R", "-", "variance of the measurement", "$R$", bounds=(1e-12, 1e12), search=(1e-3, 1e3, 1.0), free=False
+    ),
+    Parameter("T_cl", "s", "closed-loop time constant", "$T_{cl}$", bounds=(1e-6, 10.0), search=(1e-4, 2e-2, 1.0)),
+    Parameter("K2", "1/s", "damping", "$K_2$", bounds=(0.0, 1e4), search=(1.0, 100.0, 1.0)),
+    Parameter("Khat_s", "N/m", "stiffness assumed", r"$\hat{K}_s$", bounds=(1.0, 1e6), search=(100.0, 4000.0, 1.0)),
+    Parameter(
+        "Hp", "samples", "prediction horizon", "$H_p$", bounds=(1, HP_MAX), search=(2.0, HP_MAX, 10.0), whole=True
+    ),
+    Parameter("Hu", "samples", "control horizon", "$H_u$", bounds=(1, HU_MAX), search=(1.0, HU_MAX, 3.0), whole=True),
+)
+"""Numbers of `jaxmpc.Params`. λ has an entry for every move, δ for every error; δ and R only set the scales of λ and
+Q, so that a search leaves them alone."""
+HORIZONS = tuple(name for name, row in PARAMETERS.items() if row.whole)

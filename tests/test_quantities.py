@@ -1,0 +1,97 @@
+"""The table of quantities: nothing that is computed lacks a row, and no row lacks a reader."""
+
+from dataclasses import fields
+
+import jax.numpy as jnp
+import pytest
+
+from deploy.controller.margin_floor import check, plain_floor
+from jaxmpc import Experiment, Params
+from jaxmpc.evaluation import Outcome
+from jaxmpc.files.errors import InputError
+from jaxmpc.metrics import Metrics
+from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Quantity
+from jaxmpc.stability import Margins
+from jaxmpc.synthesis.params import STRUCTURE
+from jaxmpc.terminal.tables import RESIDUAL_HEADER, metric_rows, residual_rows
+from sweeps.plan import make_plan
+from sweeps.spec import SweepSpec
+from tuning import TuneSpec
+from tuning.job.goals import GOALS, MEASURED, margin_goals, run_goals
+from tuning.job.space import FREE, axis_of
+from tuning.objective.designed import SPECTRAL
+
+EVERY = {**METRICS, **MARGINS, **PARAMETERS}
+
+
+def test_everything_computed_has_a_row_and_the_other_way_round() -> None:
+    assert tuple(METRICS) == Metrics._fields
+    assert (*MARGINS, "status") == Margins._fields
+    assert (*PARAMETERS, *STRUCTURE) == tuple(field.name for field in fields(Params))
+    assert len(EVERY) == len(METRICS) + len(MARGINS) + len(PARAMETERS)
+
+
+@pytest.mark.parametrize("row", EVERY.values(), ids=EVERY)
+def test_a_row_says_what_its_readers_need(row: Quantity) -> None:
+    assert row.unit
+    assert row.text
+    assert row.symbol
+    assert row.heading
+    assert row.label.endswith(f"[{row.unit}]")
+    assert (row.sense == "none") == (row.name in PARAMETERS)
+
+
+def test_parameters_can_be_searched_and_swept() -> None:
+    base = Params()
+    for name, row in PARAMETERS.items():
+        (low, high), (least, most, scale) = row.bounds, row.search
+        assert low <= least < most <= high
+        assert scale > 0.0
+        assert least <= float(getattr(base, name)) <= most
+        assert (name in FREE) == row.free
+        assert axis_of(name, None, diagonal=bool(row.entries)).length == row.entries
+        swept = [value for value in (least, most) if name != "Hu" or value <= float(base.Hp)]
+        SweepSpec.from_dict({"sweep": {"kind": "grid", "axes": {name: swept}}})
+
+
+def test_metrics_and_margins_can_be_goals() -> None:
+    job = {"goals": {**dict.fromkeys(MARGINS, 1.5), **dict.fromkeys(METRICS, 1.0), "soft": dict.fromkeys(METRICS, 1.0)}}
+    spec = TuneSpec.from_dict(job)
+    assert {*spec.margin_goals, *spec.hard_goals} == {*MARGINS, *METRICS}
+    assert set(METRICS) < set(MEASURED) < set(GOALS)
+    assert set(SPECTRAL) == {name for name, row in METRICS.items() if row.spectral}
+    cells = Metrics(*(jnp.full((1, 1, 3), 1.0 + i) for i in range(len(METRICS))))
+    for name in MEASURED:
+        whole = run_goals(cells, cells, jnp.ones(1), {name: 1.0})[name]
+        assert jnp.isfinite(whole).all()
+    for name, row in MARGINS.items():
+        better = {other: jnp.array([0.5]) for other in MARGINS} | {name: jnp.array([0.8 if row.ceiling else 1.25])}
+        found = margin_goals(Margins(**better, status=jnp.zeros(1)), {name: 1.0})
+        assert float(found.normalised[0, 0]) == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize("name", MARGINS)
+def test_margins_can_be_promised(name: str) -> None:
+    row = {"stiffness": 375.0, "delay": 1, "ideal": False, **dict.fromkeys(MARGINS, 0.5)}
+    bound = 0.5 * (0.999 if MARGINS[name].ceiling else 1.001)
+    check([row], plain_floor({name: 0.5}))
+    with pytest.raises(InputError, match=name):
+        check([row], plain_floor({name: bound}))
+
+
+def test_metrics_and_margins_are_columns_of_a_sweep() -> None:
+    plan = make_plan(SweepSpec.from_dict({"sweep": {"kind": "grid", "axes": {"lam": [0.1, 0.2]}}}))
+    tissues = len(plan.stiffness)
+    assert {name: plan.layout[name].shape for name in METRICS} == dict.fromkeys(METRICS, (tissues, 3))
+    assert {name: plan.layout[name].shape for name in MARGINS} == dict.fromkeys(MARGINS, (tissues,))
+
+
+def test_metrics_and_margins_are_in_the_tables() -> None:
+    experiment = Experiment.published("table-1")
+    tissues = len(experiment.stiffness)
+    metrics = Metrics(*(jnp.ones((tissues, 3)) for _ in Metrics._fields))
+    margins = Margins(*(jnp.ones(tissues) for _ in Margins._fields))
+    outcome = Outcome(metrics, margins, jnp.zeros(tissues), jnp.zeros(tissues), None)
+    assert [row[0] for row in metric_rows(outcome, experiment)] == [row.heading for row in METRICS.values()]
+    assert {row.heading for row in MARGINS.values()} < set(RESIDUAL_HEADER)
+    assert {len(row) for row in residual_rows("text", outcome, experiment)} == {len(RESIDUAL_HEADER)}
