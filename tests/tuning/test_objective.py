@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxmpc import margins
+from jaxmpc.quantities import METRICS
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.job.goals import margin_goals
