@@ -9,8 +9,8 @@ def use_all_cores(cores: int | None = None) -> None:
     """Switch 64-bit JAX on and give every CPU core a device of its own; call before JAX computes anything.
 
     There are two devices at least: a program for one device compiles to other last bits than one for
-    several, and results must not depend on the number of cores. A device count set by the user in
-    XLA_FLAGS is respected.
+    several, and results must not depend on the number of cores. A device count set before, in XLA_FLAGS
+    or by JAX's own option, is respected.
 
     Args:
         cores: Number of devices wanted; None is the number of cores this process may use.
@@ -20,12 +20,8 @@ def use_all_cores(cores: int | None = None) -> None:
     config: Any = jax.config
     config.update("jax_enable_x64", True)
     _remember_programs(config)
-    wanted = max(2, cores or len(os.sched_getaffinity(0)))
-    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
-        return
-    # Setting the same number again would be refused once JAX has computed something.
-    if config.jax_num_cpu_devices != wanted:
-        config.update("jax_num_cpu_devices", wanted)
+    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", "") and config.jax_num_cpu_devices < 0:
+        config.update("jax_num_cpu_devices", max(2, cores or len(os.sched_getaffinity(0))))
 
 
 def _remember_programs(config: Any) -> None:
