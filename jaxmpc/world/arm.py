@@ -38,7 +38,7 @@ def chain() -> Chain:
     outer, base = np.eye(3), np.zeros(3)
     for joint in JOINTS:
         j = compiled.joint(joint).id
-        body = compiled.jnt_bodyid[j]
+        body = int(compiled.jnt_bodyid[j])
         inner, anchor = _joint_frame(compiled.jnt_axis[j]), compiled.jnt_pos[j]
         turned = _rotation(compiled.body_quat[body])
         mass, moment, inertia = _inertia(compiled, body, -inner.T @ anchor, inner.T)

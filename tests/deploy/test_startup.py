@@ -27,6 +27,7 @@ class FakeArm(can.BusABC):
         super().__init__(channel="fake")
         self._is_shutdown = True  # nothing to give back
         self.ns, self.queue, self.orders, self.silent, self.lose, self.deaf = 0, deque(), [], set(), 0, set()
+        self.asked = 0
         self.versions = {node: version for node in (1, 2, 3, 4)} | {8: 24, 10: 197}
         self.values = {node: {"VERS": v, "STAT": 0} for node, v in self.versions.items()}
         for node in (1, 2, 3, 4):
@@ -64,6 +65,7 @@ class FakeArm(can.BusABC):
                 if name is not None and (node, name) not in self.deaf:
                     self.values[node][name] = said.value
             elif name is not None:
+                self.asked += 1
                 self.answer(node, name, said.property)
 
     def answer(self, node, name, number):
@@ -182,9 +184,13 @@ def test_zero_calibration_moves_home_to_where_the_encoders_are():
 
 
 def test_a_lost_answer_is_asked_for_again():
-    fake = FakeArm().awake()
-    fake.lose = 2
-    start(fake)
+    clean, lossy = FakeArm().awake(), FakeArm().awake()
+    lossy.lose = 2
+    (arm, _), (other, _) = start(clean), start(lossy)
+    assert lossy.lose == 0
+    assert lossy.asked == clean.asked + 2
+    assert other.pucks.infos == arm.pucks.infos
+    assert other.counts == arm.counts
 
 
 def test_old_firmware_has_other_numbers():

@@ -18,7 +18,7 @@ from jaxmpc.cli import VERBS, comparison, main
 from jaxmpc.cli.simulate import simulated, with_heart_still, without_motion
 from jaxmpc.engine.arm_rollout import ArmSample
 from jaxmpc.files.toml import write_toml
-from jaxmpc.pictures.film import film
+from jaxmpc.pictures.film import SIZE, film
 from jaxmpc.terminal.process import use_all_cores
 from jaxmpc.xla import store
 from jaxmpc.xla.once import JitOnce
@@ -281,4 +281,14 @@ def test_film_shows_the_run_at_the_row_asked_for(tmp_path: Path) -> None:
         if error.key != "MUJOCO_GL":
             raise
         pytest.skip(str(error))
-    assert path.stat().st_size > 1000
+    ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+    command = [ffmpeg, "-v", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    raw = subprocess.run(command, check=True, capture_output=True).stdout
+    width, height = SIZE
+    frames = np.frombuffer(raw, np.uint8).reshape(-1, height, width, 3).astype(int)
+    # 0.1 s at 30 a second, the first and the last among them.
+    assert len(frames) == 3
+    red, green, blue = frames[..., : width // 2, :].transpose(3, 0, 1, 2)
+    heart, arm = (red > 90) & (red > 1.8 * green) & (red > 1.8 * blue), np.minimum(np.minimum(red, green), blue) > 215
+    assert (heart.sum(axis=(1, 2)) > 2000).all()
+    assert (arm.sum(axis=(1, 2)) > 2000).all()

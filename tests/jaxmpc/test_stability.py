@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmpc import InputError, Margins, Params, design, margins
+from jaxmpc import InputError, Params, Status, design, margins
 from jaxmpc.stability.crossings import loop_margins
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.stability.response import loop_response
@@ -168,9 +168,11 @@ def test_unstable_loops_have_a_radius_with_a_gradient() -> None:
 
 @pytest.mark.oracle
 def test_batches_and_stiffness_sets_keep_their_shape() -> None:
-    batch = Params.stack([Params(), Params(Q_p=2.0)])
+    batch = Params.stack([Params(), Params(Q_p=2.0), Params.published("printed")])
     found = margins(batch, np.array([375.0, 810.0, 1900.0]), ideal=True)
-    assert found.M_s.shape == (2, 3)
+    assert found.M_s.shape == (3, 3)
+    assert found.status.tolist() == [[Status.OK] * 3, [Status.OK] * 3, [Status.OK, Status.OK, Status.UNSTABLE]]
+    np.testing.assert_array_equal(np.asarray(found.spectral_radius) < 1.0, found.status == Status.OK)
     alone = margins(Params(Q_p=2.0), np.array([375.0, 810.0, 1900.0]), ideal=True)
     np.testing.assert_allclose(found.M_s[1], alone.M_s, rtol=1e-9)
 
@@ -179,7 +181,3 @@ def test_batches_and_stiffness_sets_keep_their_shape() -> None:
 def test_impossible_tissue_or_delay_is_refused(stiffness: float, delay: int) -> None:
     with pytest.raises(InputError, match="must be"):
         margins(Params(), stiffness, delay=delay)
-
-
-def test_margins_are_a_named_tuple_with_a_status() -> None:
-    assert Margins._fields[-1] == "status"

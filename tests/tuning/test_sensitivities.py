@@ -16,8 +16,8 @@ from jaxmpc.stability.response import loop_response
 from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
-from tuning.objective.loss import HEADROOM, PENALTY
-from tuning.objective.problem import Problem
+from tuning.objective.loss import HEADROOM, PENALTY, value_and_gradient
+from tuning.objective.problem import Problem, _dealt
 from tuning.proof.agreement import agreement, spearman
 from tuning.proof.gradients import SCORE, judged_on, looked, on_tissue, slopes
 from tuning.proof.limits import limits, multipliers_of
@@ -151,22 +151,25 @@ def test_curves_show_the_worse_cut_and_end_where_the_reference_asks(spec: TuneSp
         np.testing.assert_allclose(found.sensitivity[i], max(cuts[:, i], key=np.max), rtol=1e-12)
 
 
+def compiled(problem: Problem) -> tuple[int, int]:
+    """How many functions have been dealt out, and how many programs there are of the one that descends."""
+    dealt: Any = _dealt(value_and_gradient, problem.kind)
+    return _dealt.cache_info().currsize, dealt._cache_size()
+
+
 @pytest.mark.oracle
 @in_float64
 def test_a_real_job_against_central_differences_without_another_program(small: Job) -> None:
-    from tuning.objective.problem import _dealt
-
     free = {"lam": True, "Q_p": True, "K2": True, "Khat_s": True, "Hp": True}
     tune = {"starts": 4, "steps": 4, "free": free}
     goals = {"ideal": False, "M_s": 3.0, "overshoot": 8.0}
     result = judge(run_levels(TuneSpec.from_dict(small(experiment=QUIET, tune=tune, goals=goals))))
     step, spec, z = result.steps[-1], result.spec, vector_of(result)
     np.testing.assert_array_equal(spec.space.exact(z).Khat_s, result.params.Khat_s)
-    dealt: Any = _dealt(step.problem.kind)
-    programs = dealt._cache_size()
+    programs = compiled(step.problem)
     found = sensitivities(result)
     held = limits(result)
-    assert dealt._cache_size() == programs
+    assert compiled(step.problem) == programs
     for tissue in range(3):
         alone = on_tissue(step.problem, tissue)
         for i, name in enumerate(("lam", "Q_p", "K2", "Khat_s")):
