@@ -79,9 +79,9 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
     import jax
 
     from jaxmpc import Params
+    from jaxmpc.closed_loops import close_loops
     from jaxmpc.engine.rollout import scalars
     from jaxmpc.engine.scene import program_spec, scenario_data, simulate_cells
-    from jaxmpc.evaluation import designed
     from jaxmpc.xla.blocks import over_blocks
 
     rows = size * jax.local_device_count()
@@ -89,8 +89,8 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
     params = Params().with_columns({"Q_p": np.geomspace(0.3, 0.6, rows), "Khat_s": np.linspace(850.0, 950.0, rows)})
 
     def apart(p: Params) -> Any:
-        gains, contacts, _ = designed(p, scene)
-        return jax.vmap(lambda g: scalars(g, False))(gains), p.K2, contacts
+        gains, K2, contacts, _ = close_loops(p, scene.stiffness, scene.path)
+        return jax.vmap(lambda g: scalars(g, False))(gains), K2, contacts
 
     batch = jax.tree.map(np.asarray, jax.jit(apart)(params))
 

@@ -48,9 +48,9 @@ def main() -> None:
 
     from benchmarks.peers import dlsim_residual, numpy_loop
     from jaxmpc import Experiment, Params, evaluate
+    from jaxmpc.closed_loops import close_loops, evaluate_block
     from jaxmpc.engine.rollout import scalars
     from jaxmpc.engine.scene import program_spec, scenario_data
-    from jaxmpc.evaluation import designed, evaluate_block
     from jaxmpc.xla.blocks import over_blocks
 
     experiment = Experiment.published("table-1")
@@ -59,7 +59,7 @@ def main() -> None:
     batch = Params().with_columns({"Q_p": np.geomspace(0.1, 1.0, rows), "Khat_s": np.linspace(800.0, 1000.0, rows)})
 
     def apart(p: Params) -> Any:
-        gains, contacts, _ = designed(p, scene)
+        gains, _, contacts, _ = close_loops(p, scene.stiffness, scene.path)
         return jax.vmap(lambda g: scalars(g, False))(gains), contacts
 
     peers = jax.tree.map(np.asarray, jax.jit(apart)(batch))

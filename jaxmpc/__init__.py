@@ -6,7 +6,8 @@ Importing this package loads no JAX: the names below are fetched when they are f
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from jaxmpc.evaluation import Outcome, evaluate
+    from jaxmpc.closed_loops import Outcome
+    from jaxmpc.evaluation import evaluate
     from jaxmpc.experiment import Experiment
     from jaxmpc.files.errors import InputError
     from jaxmpc.stability import Margins, margins
@@ -20,7 +21,7 @@ _HOME = {
     "Experiment": "jaxmpc.experiment",
     "InputError": "jaxmpc.files.errors",
     "Margins": "jaxmpc.stability",
-    "Outcome": "jaxmpc.evaluation",
+    "Outcome": "jaxmpc.closed_loops",
     "Params": "jaxmpc.synthesis.params",
     "Status": "jaxmpc.status",
     "Timing": "jaxmpc.synthesis.params",

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxmpc.closed_loops import Outcome, evaluate_block
 from jaxmpc.engine.scene import ProgramSpec, program_spec, scenario_data
-from jaxmpc.evaluation import Outcome, evaluate_block
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params

@@ -7,7 +7,7 @@ import pytest
 
 from deploy.controller.margin_floor import check, plain_floor
 from jaxmpc import Experiment, Params
-from jaxmpc.evaluation import Outcome
+from jaxmpc.closed_loops import Outcome
 from jaxmpc.files.errors import InputError
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Quantity

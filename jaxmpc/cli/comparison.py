@@ -9,7 +9,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.terminal.tables import number
 
 if TYPE_CHECKING:
-    from jaxmpc.evaluation import Outcome
+    from jaxmpc.closed_loops import Outcome
     from jaxmpc.synthesis.params import Params
 
 TABLE_1 = {

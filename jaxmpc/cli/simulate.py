@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxmpc.evaluation import Outcome
+    from jaxmpc.closed_loops import Outcome
     from jaxmpc.experiment import Experiment
     from jaxmpc.synthesis.params import Params
 

@@ -11,7 +11,7 @@ from jaxmpc.spectra.disturbance import RECORD, Peaks, disturbance, peaks, power_
 from jaxmpc.status import Status
 
 if TYPE_CHECKING:
-    from jaxmpc.evaluation import Outcome
+    from jaxmpc.closed_loops import Outcome
 
 COLOURS = (TUNED, "#3a7d44", ACCENT)
 """X, Y, Z."""

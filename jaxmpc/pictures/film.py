@@ -12,7 +12,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
-    from jaxmpc.evaluation import Outcome
+    from jaxmpc.closed_loops import Outcome
 
 SIZE = (960, 540)
 """Width and height [pixel]."""

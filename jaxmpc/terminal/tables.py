@@ -8,7 +8,7 @@ import numpy as np
 from jaxmpc.quantities import AXES, MARGINS, METRICS
 
 if TYPE_CHECKING:
-    from jaxmpc.evaluation import Outcome
+    from jaxmpc.closed_loops import Outcome
     from jaxmpc.experiment import Experiment
 
 

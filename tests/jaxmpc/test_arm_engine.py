@@ -13,7 +13,7 @@ from benchmarks.mujoco_loop import PAPER, PAPER_RMS, Loop
 from jaxmpc import Experiment, Params, Status, design, evaluate
 from jaxmpc.engine.rollout import scalars
 from jaxmpc.engine.scene import ProgramSpec, ScenarioData, program_spec, scenario_data, simulate_cells
-from jaxmpc.evaluation import _ran
+from jaxmpc.evaluation import _run
 from jaxmpc.law import gain_backoff
 from jaxmpc.law.cascade import Gains
 from jaxmpc.world.heart.motion import displacement
@@ -147,7 +147,7 @@ def test_the_printed_design_on_foam_is_a_status() -> None:
 def test_numbers_of_the_arm_compile_nothing_new() -> None:
     """And they are felt: the residuals differ."""
     before = np.asarray(table_one().metrics.rms)[0]
-    programs = _ran.programs
+    programs = _run.programs
     changes: list[dict[str, Any]] = [
         {
             "arm": {
@@ -172,7 +172,7 @@ def test_numbers_of_the_arm_compile_nothing_new() -> None:
         rms = np.asarray(evaluate(BOTH, changed(TABLE, **change)).metrics.rms)[0]
         assert np.isfinite(rms).all(), change
         assert (rms != before).all(), change
-    assert _ran.programs == programs
+    assert _run.programs == programs
 
 
 def test_an_arm_that_runs_away_is_a_status_with_its_time() -> None:

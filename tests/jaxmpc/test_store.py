@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from jaxmpc import Experiment, Params, evaluation
+from jaxmpc import Experiment, Params, closed_loops, evaluation
 from jaxmpc.engine.scene import program_spec, scenario_data
 from jaxmpc.xla import store
 from jaxmpc.xla.once import JitOnce
@@ -177,11 +177,11 @@ def test_all_of_an_evaluation_can_be_kept(folder: Path, name: str) -> None:
         leaves = jax.eval_shape(found.call, *jax.tree.leaves(arguments))
         return store.assembled(found.result, iter(np.zeros(leaf.shape, leaf.dtype) for leaf in leaves))
 
-    controllers = kept(evaluation.designed, {}, params=params, scene=scene)
+    loops = kept(closed_loops.close_loops, {}, params=params, stiffness=scene.stiffness, path=scene.path)
     static = {"world": world, "dtype": "float64", "traced": True}
-    run = kept(evaluation.ran, static, controllers=controllers, K2=params.K2, scene=scene)
-    found = kept(evaluation.judged, {"ideal": scene.path.ideal}, controllers=controllers)
-    outcome = kept(evaluation.shaped_outcome, {"batch": ()}, found=found, run=run)
+    run = kept(closed_loops.run_loops, static, loops=loops, scene=scene)
+    margins = kept(closed_loops.margins_of, {"ideal": scene.path.ideal}, loops=loops)
+    outcome = kept(evaluation.shaped_outcome, {"batch": ()}, margins=margins, run=run)
     assert outcome.metrics.rms.shape == (3, 3)
     assert outcome.trace.force.shape == (3, 3, experiment.steps)
     assert len(list(folder.iterdir())) == 4

@@ -8,12 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.engine.rollout import scalars
-from jaxmpc.engine.scene import ProgramSpec, ScenarioData, program_spec, simulate_cells
+from jaxmpc.closed_loops import close_loops, lasted_per_motion, per_motion, run_loops
+from jaxmpc.engine.scene import ProgramSpec, ScenarioData, program_spec
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
-from jaxmpc.stability.loop import contact_of
-from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params, by_structure
 from jaxmpc.terminal.progress import progress
 from jaxmpc.xla.once import JitOnce
@@ -75,20 +73,12 @@ def _compare(batch: Params, experiments: Sequence[Experiment], show: bool) -> Me
 
 @partial(JitOnce, static_argnames=("world",))
 def _run(batch: Params, scene: ScenarioData, world: ProgramSpec) -> Metrics:
-    def one(params: Params) -> Any:
-        gains, _ = design_one(params, scene.path.T_s)
-        contacts = jax.vmap(lambda K_s: contact_of(K_s, params.K2, scene.path))(scene.stiffness)
-        return scalars(gains, world.preview), contacts
+    run = run_loops(close_loops(batch, scene.stiffness, scene.path), scene, world=world, dtype="float64")
+    lasted = lasted_per_motion(run)[..., None]
 
-    gains, contacts = jax.vmap(one)(batch)
-    ran = simulate_cells(world, gains, batch.K2, contacts, scene, "float64")
+    def scenarios_first(field: Any) -> Any:
+        """With dimensions (controllers, scenarios, stiffness, 3), NaN where the run did not last."""
+        return jnp.moveaxis(jnp.where(lasted, per_motion(field), jnp.nan), 2, 1)
 
-    def per_scenario(field: Any) -> Any:
-        """Scenarios before the stiffness: (controllers, scenarios, stiffness, 3)."""
-        return jnp.moveaxis(field.reshape(*field.shape[:2], -1, 3), 2, 1)
-
-    cells: Metrics = jax.tree.map(per_scenario, ran.metrics)
-    finite = jnp.isfinite(cells.rms) & jnp.isfinite(cells.peak_to_peak) & (cells.peak_force < 1e3)
-    kept = jnp.all(finite, axis=-1, keepdims=True)
-    held: Metrics = jax.tree.map(lambda field: jnp.where(kept, field, jnp.nan), cells)
-    return held
+    found: Metrics = jax.tree.map(scenarios_first, run.metrics)
+    return found

@@ -1,0 +1,147 @@
+"""The one way from parameters to a judged run: design, close the loops, take margins, run, say what came out.
+
+Evaluation, tuning, its held-out proof, sweeps and trials go through here, so that all mean the same loop, the same
+status and the same moment.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxmpc.engine.arm_rollout import ArmSample
+from jaxmpc.engine.rollout import HIGHEST_FORCE, Sample, scalars
+from jaxmpc.engine.scene import CellResults, ProgramSpec, ScenarioData, simulate_cells
+from jaxmpc.law.cascade import Gains
+from jaxmpc.metrics import Metrics
+from jaxmpc.stability import Margins, margins_one
+from jaxmpc.stability.loop import contact_of
+from jaxmpc.status import Status
+from jaxmpc.synthesis import design_one
+from jaxmpc.synthesis.params import Params
+from jaxmpc.world.contact import Contact
+from jaxmpc.world.loop_path import LoopPath
+
+
+class ClosedLoops(NamedTuple):
+    """Controllers, and the contacts through which they close their loops."""
+
+    gains: Gains
+    """(controllers, …)"""
+    K2: Any
+    """Damping, (controllers,) [1/s]."""
+    contacts: Contact
+    """(controllers, stiffness)"""
+    residual: Any
+    """Residual of the Riccati equation, (controllers,) [-]."""
+
+
+class Outcome(NamedTuple):
+    """What a batch of controllers came to; leading dimensions are the batch's."""
+
+    metrics: Metrics
+    """Residuals and effort, shape (…, stiffness, 3)."""
+    margins: Margins
+    """Margins of the loop as the experiment runs it, shape (…, stiffness)."""
+    status: Int[Array, "..."]
+    """A `Status` per stiffness: that of the margins; DIVERGED where a stable loop still ran away; LOST_CONTACT,
+    with metrics, where the tip left a tissue that does not hold it."""
+    when: Float[Array, "..."]
+    """When it diverged (on the linear loop to 125 samples) or lost contact [s]; NaN where it did neither."""
+    trace: Sample | ArmSample | None
+    """Every sample, shape (…, stiffness, 3, steps), if asked for."""
+
+
+def close_loops(params: Params, stiffness: Any, path: LoopPath, width: Any = 1.0) -> ClosedLoops:
+    """Design a batch of controllers and close a loop on every tissue; float64, traceable.
+
+    Args:
+        params: The controllers, one leading dimension.
+        stiffness: Tissues, (stiffness,) [N/m].
+        path: Delay and filters of the loop.
+        width: Softness of the horizons [samples].
+    """
+    gains, residual = jax.vmap(lambda one: design_one(one, path.T_s, width))(params)
+    return ClosedLoops(gains, params.K2, contacts_of(params.K2, stiffness, path), residual)
+
+
+def contacts_of(K2: Any, stiffness: Any, path: LoopPath) -> Contact:
+    """Contacts of controllers with tissues, (controllers, stiffness)."""
+    over_tissues = jax.vmap(contact_of, in_axes=(0, None, None))
+    found: Contact = jax.vmap(over_tissues, in_axes=(None, 0, None))(stiffness, K2, path)
+    return found
+
+
+def margins_of(loops: ClosedLoops, *, ideal: bool) -> Margins:
+    """Margins of every controller on every tissue, (controllers, stiffness); float64, traceable."""
+    rows, tissues = loops.contacts.stiffness.shape
+    # One dimension of cells is traced twice as fast as two nested ones.
+    cells = jax.tree.map(lambda leaf: leaf.reshape(rows * tissues), loops.contacts)
+    gains, residual = jax.tree.map(lambda leaf: jnp.repeat(leaf, tissues, axis=0), (loops.gains, loops.residual))
+    found = jax.vmap(lambda g, contact, r: margins_one(g, contact, ideal, r))(gains, cells, residual)
+    margins: Margins = jax.tree.map(lambda leaf: leaf.reshape(rows, tissues), found)
+    return margins
+
+
+def run_loops(
+    loops: ClosedLoops, scene: ScenarioData, *, world: ProgramSpec, dtype: Any, traced: bool = False
+) -> CellResults:
+    """Every controller on every tissue, axis and motion; traceable."""
+    gains = jax.vmap(lambda g: scalars(g, world.preview))(loops.gains)
+    return simulate_cells(world, gains, loops.K2, loops.contacts, scene, dtype, traced)
+
+
+def per_motion(field: Any) -> Any:
+    """A metric of the cells with a dimension for the motions, (controllers, stiffness, motions, 3)."""
+    return field.reshape(*field.shape[:2], -1, 3)
+
+
+def lasted_per_motion(run: CellResults) -> Any:
+    """Whether each run stayed finite and in bounds to its end, (controllers, stiffness, motions)."""
+    finite = jnp.all(jnp.isfinite(per_motion(run.metrics.rms)), axis=-1)
+    return finite & jnp.all(per_motion(run.metrics.peak_force) < HIGHEST_FORCE, axis=-1)
+
+
+def verdict(judged: Any, lasted: Any, diverged: Any, lost_contact: Any) -> tuple[Any, Any]:
+    """Status and moment of each run, by the one rule: what the margins say comes first, then how the run ended.
+
+    Args:
+        judged: A `Status` of the margins.
+        lasted: Whether the run stayed finite and in bounds to its end.
+        diverged: When it did not; ∞ if never [s].
+        lost_contact: When the tip left the tissue; ∞ if never [s].
+
+    Returns:
+        A `Status`; and when contact was lost, if that is the status, else when the run diverged, NaN if never [s].
+    """
+    status = jnp.where((judged == Status.OK) & ~lasted, Status.DIVERGED, judged)
+    status = jnp.where((status == Status.OK) & jnp.isfinite(lost_contact), Status.LOST_CONTACT, status)
+    when = jnp.where(status == Status.LOST_CONTACT, lost_contact, diverged)
+    return status, jnp.where(jnp.isinf(when), jnp.nan, when)
+
+
+def outcome_of(margins: Margins, run: CellResults) -> Outcome:
+    """What margins and run say together; traceable."""
+    lasted = jnp.all(lasted_per_motion(run), axis=-1)
+    status, when = verdict(margins.status, lasted, run.diverged, run.lost_contact)
+    usable = ((margins.status == Status.OK) & lasted)[..., None]
+    held: Metrics = jax.tree.map(lambda value: jnp.where(usable, value, jnp.nan), run.metrics)
+    return Outcome(held, margins, status, when, run.trace)
+
+
+def evaluate_block(
+    params: Params, scene: ScenarioData, *, world: ProgramSpec, dtype: Any, traced: bool = False
+) -> Outcome:
+    """A flat batch of controllers on every stiffness and axis, in one go; traceable.
+
+    Args:
+        params: The controllers, one leading dimension.
+        scene: Data of the experiment (`scenario_data`).
+        world: Its structure (`program_spec`).
+        dtype: Precision of the time stepping.
+        traced: Keep every sample.
+    """
+    loops = close_loops(params, scene.stiffness, scene.path)
+    margins = margins_of(loops, ideal=scene.path.ideal)
+    return outcome_of(margins, run_loops(loops, scene, world=world, dtype=dtype, traced=traced))
