@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import LARGEST, digest
-from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
+from jaxmpc.quantities import AXES, MARGINS, METRICS, PARAMETERS
 from jaxmpc.synthesis.params import Params
 from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
@@ -20,6 +20,10 @@ from sweeps.spec import SweepSpec
 SCHEMA = "jaxmpc-sweep/1"
 CHUNK = 2048
 """Rows of a chunk file, the most that a kill can cost."""
+
+
+Columns = dict[str, np.ndarray]
+"""Values per name, one row each."""
 
 
 class Column(NamedTuple):
@@ -67,13 +71,7 @@ class Plan:
     @cached_property
     def layout(self) -> dict[str, Column]:
         """The columns of the result in their fixed order."""
-        tissues, measured = len(self.stiffness), {"float32": "<f4", "float64": "<f8"}[self.canonical["precision"]]
-        columns = {"row": Column("<i8", ())} | {axis.name: Column("<f8", ()) for axis in self.space.axes}
-        columns["status"] = Column("|i1", (tissues,))
-        # What a run measures has the precision of the run, margins are always float64.
-        columns |= {name: Column(measured, (tissues, 3)) for name in METRICS}
-        columns |= {name: Column("<f8", (tissues,)) for name in MARGINS}
-        return columns
+        return layout(self.space, len(self.stiffness), self.canonical["precision"])
 
     @cached_property
     def row_bytes(self) -> int:
@@ -95,6 +93,22 @@ class Plan:
         for begin, end in edges.reshape(-1, 2).tolist():
             for first in range(begin, end, chunk):
                 yield first, min(first + chunk, end)
+
+
+def layout(space: SweepSpace, tissues: int, precision: str) -> dict[str, Column]:
+    """The columns of a result in their fixed order.
+
+    Args:
+        space: The points of the sweep.
+        tissues: How many stiffnesses each is run on.
+        precision: Of the time stepping: what a run measures has it, margins are always float64.
+    """
+    measured = {"float32": "<f4", "float64": "<f8"}[precision]
+    columns = {"row": Column("<i8", ())} | {axis.name: Column("<f8", ()) for axis in space.axes}
+    columns["status"] = Column("|i1", (tissues,))
+    columns |= {name: Column(measured, (tissues, len(AXES))) for name in METRICS}
+    columns |= {name: Column("<f8", (tissues,)) for name in MARGINS}
+    return columns
 
 
 def make_plan(spec: SweepSpec) -> Plan:

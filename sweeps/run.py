@@ -2,24 +2,17 @@
 
 import math
 import time
-from collections.abc import Callable
-from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
 
-from jaxmpc.closed_loops import Outcome, evaluate_block
-from jaxmpc.engine.scene import ProgramSpec, program_spec, scenario_data
-from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
-from jaxmpc.synthesis.params import Params
 from jaxmpc.terminal.progress import Tick
 from jaxmpc.terminal.progress import progress as progress_of
-from jaxmpc.xla.blocks import BLOCK, over_blocks
 from sweeps import store
-from sweeps.plan import CHUNK, Plan, check_chunk, make_plan
+from sweeps.compute import compute, evaluated, rows_at_a_time
+from sweeps.plan import CHUNK, Columns, check_chunk, make_plan
 from sweeps.result import Point, Result, baseline_of
 from sweeps.spec import SweepSpec
 
@@ -51,20 +44,22 @@ def run(spec: SweepSpec, folder: str | Path, *, chunk: int = CHUNK, progress: bo
     check_chunk(plan, chunk)
     store.prepare(folder, plan)
     columns, there = store.read_chunks(folder, plan)
-    evaluate = _evaluator(spec)
+    width = rows_at_a_time()
     with progress_of("sweep", len(plan.rows), enabled=progress) as tick:
         count = _Count(tick, int(there.sum()))
         for first, last in plan.portions(~there, chunk):
-            found = _rows(evaluate, plan, first, last, count)
-            store.write_chunk(folder, plan, first, last, found)
-            for name, values in found.items():
-                columns[name][first:last] = values
+            for begin in range(first, last, width):
+                end = min(begin + width, last)
+                found = compute(spec, begin, end)
+                for name, values in found.items():
+                    columns[name][begin:end] = values
+                count.add(found)
+            store.write_chunk(folder, plan, first, last, {name: column[first:last] for name, column in columns.items()})
     result = Result(plan, columns)
     summary = store.read_summary(folder)
     if summary.get("result_hash") != result.hash:
-        point = _point(_outcome_columns(evaluate(spec.params.with_columns({"lam": spec.params.lam[None]}))))
         # JSON has no infinity: an unstable baseline is null.
-        baseline = [value if math.isfinite(value) else None for value in point]
+        baseline = [value if math.isfinite(value) else None for value in _baseline(spec)]
         counts = result.status_counts()
         summary = {"result_hash": result.hash, "rows": len(result), "status": counts, "baseline": baseline}
         store.write_summary(folder, summary)
@@ -82,14 +77,13 @@ class CostEstimate(NamedTuple):
 
 def estimate(spec: SweepSpec) -> CostEstimate:
     """Measure the first rows of a sweep, two calls of as many rows as there are in one round."""
-    plan, evaluate = make_plan(spec), _evaluator(spec)
-    batch = plan.params(0, min(len(plan.rows), BLOCK * jax.local_device_count()))
+    rows = min(len(make_plan(spec).rows), rows_at_a_time())
     times = []
     for _ in range(2):
         began = time.perf_counter()
-        evaluate(batch)
+        compute(spec, 0, rows)
         times.append(time.perf_counter() - began)
-    return CostEstimate(max(times[0] - times[1], 0.0), batch.batch_shape[0] / times[1])
+    return CostEstimate(max(times[0] - times[1], 0.0), rows / times[1])
 
 
 class _Count:
@@ -99,7 +93,7 @@ class _Count:
         self.tick, self.done, self.bad, self.best = tick, done, 0, math.inf
         self.began: tuple[float, int] | None = None
 
-    def add(self, columns: store.Columns) -> None:
+    def add(self, columns: Columns) -> None:
         ok = (columns["status"] == Status.OK).all(axis=1)
         robust = ok & (columns["M_s"] <= ROBUST).all(axis=1)
         if robust.any():
@@ -115,48 +109,8 @@ class _Count:
         self.tick(self.done, f"{rate}{self.bad} not OK, {best}")
 
 
-@lru_cache(maxsize=8)
-def _program(world: ProgramSpec, precision: str) -> Callable[[Any, Any], Any]:
-    return over_blocks(partial(evaluate_block, world=world, dtype=precision))
-
-
-def _evaluator(spec: SweepSpec) -> Callable[[Params], Outcome]:
-    """One compiled program for all rounds of a sweep, and for all sweeps of its kind in this process."""
-    experiment = spec.experiment
-    scene = scenario_data(experiment)
-    program = _program(program_spec(experiment), spec.precision)
-
-    def evaluate(batch: Params) -> Outcome:
-        with jax.enable_x64(True):
-            outcome: Outcome = program(batch, scene)
-        return outcome
-
-    return evaluate
-
-
-def _rows(evaluate: Callable[[Params], Outcome], plan: Plan, first: int, last: int, count: _Count) -> store.Columns:
-    """Columns of planned rows first … last − 1, computed in rounds of one block a device: one compilation."""
-    batch, width = plan.params(first, last), BLOCK * jax.local_device_count()
-    rounds = []
-    for begin in range(0, last - first, width):
-        rounds.append(_outcome_columns(evaluate(batch[begin : begin + width])))
-        count.add(rounds[-1])
-    rows = plan.rows[first:last]
-    given = {"row": rows} | plan.space.columns(rows)
-    found = {name: np.concatenate([each[name] for each in rounds]) for name in rounds[0]}
-    return {name: np.asarray((given | found)[name], column.dtype) for name, column in plan.layout.items()}
-
-
-def _outcome_columns(outcome: Outcome) -> store.Columns:
-    measured = outcome.metrics._asdict() | outcome.margins._asdict()
-    columns = {name: np.array(measured[name]) for name in (*METRICS, *MARGINS)}
-    for values in columns.values():
-        # One NaN, whatever sign and payload the processor made.
-        values[np.isnan(values)] = np.nan
-    return columns | {"status": np.asarray(outcome.status)}
-
-
-def _point(columns: store.Columns) -> Point:
-    if (columns["status"] == Status.OK).all():
-        return Point(float(columns["rms"].max()), float(columns["M_s"].max()))
+def _baseline(spec: SweepSpec) -> Point:
+    outcome = evaluated(spec, spec.params.with_columns({"lam": spec.params.lam[None]}))
+    if (np.asarray(outcome.status) == Status.OK).all():
+        return Point(float(np.max(outcome.metrics.rms)), float(np.max(outcome.margins.M_s)))
     return Point(math.inf, math.inf)

@@ -21,11 +21,9 @@ import numpy as np
 from jaxmpc import __version__
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import SealError, canonical_json, digest, seal, unseal, write_atomic
-from sweeps.plan import SCHEMA, Plan
+from sweeps.plan import SCHEMA, Columns, Plan
 
 log = logging.getLogger(__name__)
-
-Columns = dict[str, np.ndarray]
 
 
 class StoredChunks(NamedTuple):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import random
 import re
 import resource
@@ -12,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +27,8 @@ from jaxmpc import design, evaluate
 from jaxmpc.files.sealed import SEAL
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
-from sweeps import run as run_module
 from sweeps import store
+from sweeps.compute import compute, evaluated
 from sweeps.plan import make_plan
 from sweeps.result import Result
 from sweeps.run import run
@@ -72,12 +74,17 @@ def test_no_bit_depends_on_the_chunk_size(finished: Finished, copy: Path) -> Non
 
 def test_no_bit_depends_on_the_order_of_rows(spec: SweepSpec) -> None:
     order = np.random.default_rng(0).permutation(ROWS)
-    plan, evaluator = make_plan(spec), run_module._evaluator(spec)
-    batch = plan.params(0, ROWS)
-    straight = evaluator(batch)
-    shuffled = evaluator(jax.tree.map(lambda leaf: leaf[order], batch))
+    batch = make_plan(spec).params(0, ROWS)
+    straight = evaluated(spec, batch)
+    shuffled = evaluated(spec, jax.tree.map(lambda leaf: leaf[order], batch))
     for one, other in zip(jax.tree.leaves(straight), jax.tree.leaves(shuffled), strict=True):
         np.testing.assert_array_equal(one[order], other)
+
+
+def test_rows_can_be_computed_by_whoever_is_asked(finished: Finished, spec: SweepSpec) -> None:
+    task = pickle.loads(pickle.dumps(partial(compute, spec, 30, 40)))
+    for name, values in task().items():
+        np.testing.assert_array_equal(values, finished[1][name][30:40], err_msg=name)
 
 
 @pytest.fixture
