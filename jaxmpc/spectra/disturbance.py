@@ -84,14 +84,9 @@ def power_spectral_density(signal: Any, T_s: float) -> PowerSpectrum:
     Raises:
         InputError: Not two-dimensional, or a sample is not finite.
     """
-    record = _signal("signal", signal)
-    steps = record.shape[1]
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(steps) / steps)
-    lines = np.fft.rfft(window * (record - record.mean(axis=1, keepdims=True)))
-    density = np.abs(lines) ** 2 * T_s / np.sum(window**2)
-    # One-sided: what lies at negative frequencies counts too; 0 and the Nyquist frequency have no such twin.
-    density[:, 1 : -1 if steps % 2 == 0 else None] *= 2.0
-    return PowerSpectrum(np.fft.rfftfreq(steps, T_s), density)
+    from scipy.signal import periodogram
+
+    return PowerSpectrum(*periodogram(_signal("signal", signal), 1.0 / T_s, "hann", detrend="constant"))
 
 
 def peaks(signal: Any, T_s: float, stiffness: float) -> Peaks:
@@ -156,24 +151,17 @@ def _fitted(near: np.ndarray, t: np.ndarray, record: np.ndarray, wander: float) 
 
 def _maxima(spectrum: PowerSpectrum) -> np.ndarray:
     """Frequencies of the bins where a line stands out [Hz]."""
+    from scipy.ndimage import median_filter
+    from scipy.signal import find_peaks
+
     power = spectrum.density.sum(axis=0)
     level = 10.0 * np.log10(np.maximum(power, np.finfo(float).tiny))
-    around = np.pad(level, _NEIGHBOURHOOD, mode="symmetric")
-    floor = np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * _NEIGHBOURHOOD + 1), axis=1)
     # A single record's noise has bins of almost no power: measured from those, every maximum would be prominent.
-    level = np.maximum(level, floor)
-    inside = (spectrum.frequency > LOWEST_PEAK - 1e-9) & (spectrum.frequency < HIGHEST_PEAK)
-    highest = np.concatenate([[False], (level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]), [False]])
-    (bins,) = np.nonzero(inside & highest & (level > level.max() - RANGE_DB))
-    lines: np.ndarray = spectrum.frequency[[i for i in bins if _prominence(level, int(i)) >= PROMINENCE_DB]]
+    level = np.maximum(level, median_filter(level, 2 * _NEIGHBOURHOOD + 1, mode="reflect"))
+    (bins, _) = find_peaks(level, height=level.max() - RANGE_DB, prominence=PROMINENCE_DB)
+    found = spectrum.frequency[bins]
+    lines: np.ndarray = found[(found > LOWEST_PEAK - 1e-9) & (found < HIGHEST_PEAK)]
     return lines
-
-
-def _prominence(level: np.ndarray, i: int) -> float:
-    """How far down one must go from a maximum, on the better side, before it goes up higher."""
-    sides = level[i::-1], level[i:]
-    lowest = [side[: np.argmax(side > level[i]) or None].min() for side in sides]
-    return float(level[i] - max(lowest))
 
 
 def _signal(key: str, value: Any) -> np.ndarray:
