@@ -80,8 +80,9 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
 
     from jaxmpc import Params
     from jaxmpc.closed_loops import close_loops
-    from jaxmpc.engine.rollout import scalars
-    from jaxmpc.engine.scene import program_spec, scenario_data, simulate_cells
+    from jaxmpc.engine.base import scalars
+    from jaxmpc.engine.registry import choose
+    from jaxmpc.engine.scenario import program_spec, scenario_data
     from jaxmpc.xla.blocks import over_blocks
 
     rows = size * jax.local_device_count()
@@ -90,11 +91,11 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
 
     def apart(p: Params) -> Any:
         gains, K2, contacts, _ = close_loops(p, scene.stiffness, scene.path)
-        return jax.vmap(lambda g: scalars(g, False))(gains), K2, contacts
+        return gains, K2, contacts
 
     batch = jax.tree.map(np.asarray, jax.jit(apart)(params))
 
-    engine = over_blocks(lambda b, s: simulate_cells(world, *b, s, dtype).metrics.rms, size)
+    engine = over_blocks(lambda b, s: choose(world).simulate(world, *b, s, dtype).metrics.rms, size)
     began = time.perf_counter()
     engine(batch, scene)
     compiled = time.perf_counter() - began
@@ -138,8 +139,8 @@ def _casadi_worker(dtype: str) -> tuple[float, np.ndarray]:
 
     from benchmarks.casadi_episode import Episode
     from jaxmpc import Experiment, Params, design
-    from jaxmpc.engine.rollout import scalars
-    from jaxmpc.engine.scene import program_spec, scenario_data
+    from jaxmpc.engine.base import scalars
+    from jaxmpc.engine.scenario import program_spec, scenario_data
 
     experiment = msgspec.structs.replace(
         Experiment.published("table-1-wam"), stiffness=(810.0,), duration=SECONDS, settle=3.0

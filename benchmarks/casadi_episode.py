@@ -13,7 +13,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from jaxmpc.engine.scene import ProgramSpec, ScenarioData
+from jaxmpc.engine.base import ProgramSpec, ScenarioData
 from jaxmpc.law import cascade, force_control
 from jaxmpc.world import arm, drive, robot
 
@@ -61,8 +61,8 @@ def _step(
     world: ProgramSpec, scene: ScenarioData, gains: Any, K2: float, stiffness: float
 ) -> tuple[Any, Any, np.ndarray]:
     """One sample as a CasADi function (state, input) → state, its first state, and all inputs."""
-    assert world.kind is not None
-    chain, kind = arm.chain(), world.kind
+    assert world.robot is not None
+    chain, kind = arm.chain(), world.robot
     numbers = _floats(scene.robot)
     constants = numbers._replace(tissue=numbers.tissue._replace(stiffness=stiffness))
     body = robot.init(chain, kind, constants, 0.0, Ops)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import scipy.signal
 
-from jaxmpc.engine.scene import ScenarioData
+from jaxmpc.engine.base import ScenarioData
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
 from jaxmpc.world import contact as world

@@ -49,8 +49,8 @@ def main() -> None:
     from benchmarks.peers import dlsim_residual, numpy_loop
     from jaxmpc import Experiment, Params, evaluate
     from jaxmpc.closed_loops import close_loops, evaluate_block
-    from jaxmpc.engine.rollout import scalars
-    from jaxmpc.engine.scene import program_spec, scenario_data
+    from jaxmpc.engine.base import scalars
+    from jaxmpc.engine.scenario import program_spec, scenario_data
     from jaxmpc.xla.blocks import over_blocks
 
     experiment = Experiment.published("table-1")
@@ -60,7 +60,7 @@ def main() -> None:
 
     def apart(p: Params) -> Any:
         gains, _, contacts, _ = close_loops(p, scene.stiffness, scene.path)
-        return jax.vmap(lambda g: scalars(g, False))(gains), contacts
+        return scalars(gains, False), contacts
 
     peers = jax.tree.map(np.asarray, jax.jit(apart)(batch))
     brief = msgspec.structs.replace(experiment, duration=4.0, settle=3.0)

@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxmpc.engine.arm_rollout import ArmSample
-from jaxmpc.engine.rollout import HIGHEST_FORCE, Sample, scalars
-from jaxmpc.engine.scene import CellResults, ProgramSpec, ScenarioData, simulate_cells
+from jaxmpc.loop.arm import ArmSample
+from jaxmpc.loop.linear import HIGHEST_FORCE, Sample
+from jaxmpc.engine.base import CellResults, ProgramSpec, ScenarioData
+from jaxmpc.engine.registry import choose
 from jaxmpc.law.cascade import Gains
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins, margins_one
@@ -88,8 +89,7 @@ def run_loops(
     loops: ClosedLoops, scene: ScenarioData, *, world: ProgramSpec, dtype: Any, traced: bool = False
 ) -> CellResults:
     """Every controller on every tissue, axis and motion; traceable."""
-    gains = jax.vmap(lambda g: scalars(g, world.preview))(loops.gains)
-    return simulate_cells(world, gains, loops.K2, loops.contacts, scene, dtype, traced)
+    return choose(world).simulate(world, loops.gains, loops.K2, loops.contacts, scene, dtype, traced)
 
 
 def per_motion(field: Any) -> Any:
@@ -124,7 +124,7 @@ def verdict(judged: Any, lasted: Any, diverged: Any, lost_contact: Any) -> tuple
 def outcome_of(margins: Margins, run: CellResults) -> Outcome:
     """What margins and run say together; traceable."""
     lasted = jnp.all(lasted_per_motion(run), axis=-1)
-    status, when = verdict(margins.status, lasted, run.diverged, run.lost_contact)
+    status, when = verdict(margins.status, lasted, run.diverged.min(axis=-1), run.lost_contact.min(axis=-1))
     usable = ((margins.status == Status.OK) & lasted)[..., None]
     held: Metrics = jax.tree.map(lambda value: jnp.where(usable, value, jnp.nan), run.metrics)
     return Outcome(held, margins, status, when, run.trace)

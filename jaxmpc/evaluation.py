@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxmpc.closed_loops import Outcome, close_loops, margins_of, outcome_of, run_loops
-from jaxmpc.engine.scene import CellResults, program_spec, scenario_data, with_physics
+from jaxmpc.engine.base import CellResults
+from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
 from jaxmpc.experiment import Experiment, Physics
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.stability import Margins

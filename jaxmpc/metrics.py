@@ -1,11 +1,12 @@
 """What is measured of a run, gathered on the way so that no trajectory need be kept."""
 
-from typing import NamedTuple
+from math import inf
+from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-Lane = Float[Array, "..."]
+Lane = Any
+"""A scalar, or one per lane."""
 
 
 class Totals(NamedTuple):
@@ -40,10 +41,10 @@ class Metrics(NamedTuple):
 def nothing(like: Lane) -> Totals:
     """Totals before the first sample."""
     zero = 0.0 * like
-    return Totals(zero, zero - jnp.inf, zero + jnp.inf, zero, zero, zero)
+    return Totals(zero, zero - inf, zero + inf, zero, zero, zero)
 
 
-def add(totals: Totals, counts: Bool[Array, "..."], error: Lane, a: Lane, change: Lane, force: Lane) -> Totals:
+def add(totals: Totals, counts: Any, error: Lane, a: Lane, change: Lane, force: Lane, ops: Any) -> Totals:
     """Totals with one more sample.
 
     Args:
@@ -53,42 +54,44 @@ def add(totals: Totals, counts: Bool[Array, "..."], error: Lane, a: Lane, change
         a: Acceleration asked of the robot [m/s²].
         change: Its change since the last sample [m/s²].
         force: Measured force [N].
+        ops: Scalar functions.
     """
-    weight = counts.astype(error.dtype)
+    weight = ops.where(counts, 1.0, 0.0)
     return Totals(
         totals.error_squared + weight * error * error,
-        jnp.where(counts, jnp.maximum(totals.highest_error, error), totals.highest_error),
-        jnp.where(counts, jnp.minimum(totals.lowest_error, error), totals.lowest_error),
+        ops.where(counts, ops.maximum(totals.highest_error, error), totals.highest_error),
+        ops.where(counts, ops.minimum(totals.lowest_error, error), totals.lowest_error),
         totals.acceleration_squared + weight * a * a,
         totals.change_squared + weight * change * change,
-        jnp.maximum(totals.highest_force, jnp.abs(force)),
+        ops.maximum(totals.highest_force, abs(force)),
     )
 
 
-def merge(first: Totals, second: Totals) -> Totals:
+def merge(first: Totals, second: Totals, ops: Any) -> Totals:
     """Totals of two stretches of time; summing stretch by stretch keeps float32 sums exact to 1e-6."""
     return Totals(
         first.error_squared + second.error_squared,
-        jnp.maximum(first.highest_error, second.highest_error),
-        jnp.minimum(first.lowest_error, second.lowest_error),
+        ops.maximum(first.highest_error, second.highest_error),
+        ops.minimum(first.lowest_error, second.lowest_error),
         first.acceleration_squared + second.acceleration_squared,
         first.change_squared + second.change_squared,
-        jnp.maximum(first.highest_force, second.highest_force),
+        ops.maximum(first.highest_force, second.highest_force),
     )
 
 
-def metrics(totals: Totals, samples: Lane) -> Metrics:
+def metrics(totals: Totals, samples: Lane, ops: Any) -> Metrics:
     """Metrics of a finished run.
 
     Args:
         totals: Over the run.
         samples: How many samples counted; broadcasts against the totals.
+        ops: Scalar functions.
     """
 
     def root_mean(sum_of_squares: Lane) -> Lane:
         mean = sum_of_squares / samples
         # The slope of a root at 0 is infinite; a run without any residual has none to tune.
-        return jnp.where(mean > 0.0, jnp.sqrt(jnp.where(mean > 0.0, mean, 1.0)), mean)
+        return ops.where(mean > 0.0, ops.sqrt(ops.where(mean > 0.0, mean, 1.0)), mean)
 
     return Metrics(
         rms=root_mean(totals.error_squared),
@@ -96,5 +99,5 @@ def metrics(totals: Totals, samples: Lane) -> Metrics:
         effort=root_mean(totals.acceleration_squared),
         chatter=root_mean(totals.change_squared),
         peak_force=totals.highest_force,
-        peak_error=jnp.maximum(totals.highest_error, -totals.lowest_error),
+        peak_error=ops.maximum(totals.highest_error, -totals.lowest_error),
     )

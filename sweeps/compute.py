@@ -8,7 +8,8 @@ import jax
 import numpy as np
 
 from jaxmpc.closed_loops import Outcome, evaluate_block
-from jaxmpc.engine.scene import ProgramSpec, ScenarioData, program_spec, scenario_data
+from jaxmpc.engine.base import ProgramSpec, ScenarioData
+from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.synthesis.params import Params

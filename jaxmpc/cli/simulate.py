@@ -113,7 +113,7 @@ def _with_physics(experiment: "Experiment", physics: str | None) -> "Experiment"
     """In another physics, under a name of its own so that neither run writes over the other."""
     from msgspec.structs import replace
 
-    from jaxmpc.engine.scene import with_physics
+    from jaxmpc.engine.scenario import with_physics
 
     if physics in (None, experiment.physics):
         return experiment

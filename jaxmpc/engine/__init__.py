@@ -1,1 +1,1 @@
-"""How the loop is run: by scan over time, in fixed blocks of controllers, on every device of the host."""
+"""How the closed loop is run: engines behind one door (`jaxmpc.engine.base`), chosen by name."""

@@ -87,6 +87,9 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         if self.physics == "mjx" and (self.arm.substeps > 1 or self.arm.cable_hz):
             remedy = 'Set arm.substeps = 1 and arm.cable_hz = 0, or physics = "wam".'
             raise InputError("physics", "mjx", "used without substeps and cable mode", remedy)
+        if self.physics == "mjx" and self.arm.integrator != "euler":
+            remedy = 'Set arm.integrator = "euler", which is MuJoCo\'s.'
+            raise InputError("arm.integrator", self.arm.integrator, '"euler" on stock MJX', remedy)
 
     @property
     def timing(self) -> Timing:

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpc.closed_loops import evaluate_block
-from jaxmpc.engine.rollout import scalars
-from jaxmpc.engine.scene import program_spec, scenario_data
+from jaxmpc.engine.base import scalars
+from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.tables import robot_of
 from jaxmpc.law import cascade, force_control, gain_backoff

@@ -52,7 +52,7 @@ def film(path: Path, experiment: Experiment, outcome: "Outcome", row: int) -> No
     Raises:
         InputError: A package is missing, or OpenGL does not work.
     """
-    from jaxmpc.engine.arm_rollout import ArmSample
+    from jaxmpc.loop.arm import ArmSample
     from jaxmpc.pictures.video import write_video
     from jaxmpc.world.arm import tip_at
     from jaxmpc.world.heart.motion import displacement

@@ -15,17 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxmpc.engine import arm_rollout
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.tables import kind_of, robot_on_its_tissue
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
+from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, start
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import arm, friction
 from jaxmpc.world import robot as world
-from jaxmpc.world.robot import Robot, RobotStructure
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
+from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 
@@ -48,22 +49,22 @@ def whole_arm_matrix(chain: Chain, kind: RobotStructure, robot: Robot, gains: Ga
         K2: Its damping [1/s].
     """
     gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
-    program = arm_rollout.Program(chain, kind._replace(attached=True), world.accelerate, float("inf"))
-    cell = arm_rollout.Cell(gains, jnp.asarray(K2, float), _smooth(robot))
-    begin, quiet = arm_rollout.start(program, cell), _quiet(kind.substeps)
+    program = ArmLoop(chain, kind._replace(attached=True), world.accelerate)
+    cell = Cell(gains, jnp.asarray(K2, float), _smooth(robot))
+    begin, quiet = start(program, cell, ops), _quiet(kind.substeps)
     flat, restore = jax.flatten_util.ravel_pytree((begin.controller, begin.robot))
 
-    def advance(vector: Array) -> Array:
+    def following(vector: Array) -> Array:
         controller, state = restore(vector)
         # An active state without gain (MPC alone) stays at its start, zero: it is no mode of the loop.
         axes = (a._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, a.p_hat)) for a in controller.axes)
         carry = begin._replace(controller=controller._replace(axes=tuple(axes)), robot=state)
-        following, _ = arm_rollout.advance(program, cell, carry, quiet)
+        after, _ = advance(program, cell, carry, quiet, ops)
         # Bristles without force are no mode either.
-        settled = following.robot._replace(bristles=friction.init(0.0 * following.robot.q[0]))
-        return jax.flatten_util.ravel_pytree((following.controller, settled))[0]
+        settled = after.robot._replace(bristles=friction.init(0.0 * after.robot.q[0]))
+        return jax.flatten_util.ravel_pytree((after.controller, settled))[0]
 
-    matrix: Array = jax.jacfwd(advance)(flat)
+    matrix: Array = jax.jacfwd(following)(flat)
     return matrix
 
 
@@ -130,9 +131,8 @@ def _smooth(robot: Robot) -> Robot:
     )
 
 
-def _quiet(substeps: int) -> arm_rollout.ArmSignals:
+def _quiet(substeps: int) -> ArmSignals:
     """A sample at which nothing happens."""
-    heart, axes, off = jnp.zeros((2, 3)), jnp.zeros(3), jnp.zeros(())
-    return arm_rollout.ArmSignals(
-        heart, jnp.zeros((substeps, 2, 3)), axes, jnp.zeros((3, 1)), axes, jnp.ones(()), watch=off, time=off
-    )
+    axes = (0.0, 0.0, 0.0)
+    still = HeartSample(axes, axes)
+    return ArmSignals(still, (still,) * substeps, axes, ((0.0,),) * 3, axes, softening=1.0, watch=0.0, time=0.0)

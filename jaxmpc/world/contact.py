@@ -98,8 +98,3 @@ def move(
     x = state.x + contact.phi[0] * state.xdot + contact.gamma[0] * applied
     xdot = contact.phi[1] * state.xdot + contact.gamma[1] * applied
     return state._replace(x=x, xdot=xdot, pending=(a, newest)), a
-
-
-def quantise(value: Scalar, lsb: Scalar, floor: Any) -> Scalar:
-    """Value rounded to a multiple of a positive least significant bit, half up."""
-    return floor(value / lsb + 0.5) * lsb

@@ -11,6 +11,7 @@ from math import exp, pi
 from typing import Any, NamedTuple
 
 from jaxmpc.law.scalar import Matrix, Scalar, Vector, apply, apply_transposed, scale, sub
+from jaxmpc.world.quantise import quantise
 
 N1, N2, N3, N4 = 42.0, 28.25, 16.8155, 18.0
 """Transmission ratios per motor (libbarrett, wam4.conf); N3 is N2/n3."""
@@ -63,7 +64,7 @@ def pole(cutoff: float, T_s: float) -> float:
 
 def read(drive: Drive, q: Vector, ops: Any) -> Vector:
     """Joint angles as the motor encoders see them [rad]."""
-    return apply(MOTOR_TO_JOINT, _rounded(apply(JOINT_TO_MOTOR, q), drive.angle_lsb, 0.5, ops))
+    return apply(MOTOR_TO_JOINT, tuple(quantise(angle, drive.angle_lsb, ops) for angle in apply(JOINT_TO_MOTOR, q)))
 
 
 def measure(drive: Drive, state: DriveState, q: Vector, ops: Any) -> DriveState:
@@ -82,10 +83,5 @@ def command(drive: Drive, torque: Vector, ops: Any) -> tuple[Vector, Vector]:
     """
     motor = apply_transposed(MOTOR_TO_JOINT, torque)
     held = tuple(ops.clip(value, -limit, limit) for value, limit in zip(motor, drive.torque_limit, strict=True))
-    sent = _rounded(held, drive.torque_lsb, 0.0, ops)
+    sent = tuple(quantise(value, drive.torque_lsb, ops, 0.0) for value in held)
     return apply_transposed(JOINT_TO_MOTOR, held), apply_transposed(JOINT_TO_MOTOR, sent)
-
-
-def _rounded(values: Vector, lsb: Scalar, offset: float, ops: Any) -> Vector:
-    step = ops.where(lsb > 0.0, lsb, 1.0)
-    return tuple(ops.where(lsb > 0.0, ops.floor(value / step + offset) * step, value) for value in values)

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from jaxmpc.law.scalar import Scalar, Vector, add, scale, sub
-from jaxmpc.world.contact import quantise
+from jaxmpc.world.quantise import quantise
 
 
 class SensorModel(NamedTuple):
@@ -56,8 +56,7 @@ def read(
         remembered = velocity
     force = tuple(now + sensor.pole * (before - now) for now, before in zip(felt, state.force, strict=True))
     measured = tuple(
-        ops.where(lsb > 0.0, quantise(value + error, ops.where(lsb > 0.0, lsb, 1.0), ops.floor), value + error)
-        for value, error, lsb in zip(force, noise, sensor.lsb, strict=True)
+        quantise(value + error, lsb, ops) for value, error, lsb in zip(force, noise, sensor.lsb, strict=True)
     )
     filtered = state.filtered
     if filtered:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 exp, sqrt, where = jnp.exp, jnp.sqrt, jnp.where
-maximum = jnp.maximum
+maximum, minimum = jnp.maximum, jnp.minimum
 
 
 @jax.custom_jvp

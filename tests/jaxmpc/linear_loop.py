@@ -10,8 +10,8 @@ import numpy as np
 import scipy.linalg
 
 from jaxmpc import Params, design
-from jaxmpc.engine.cells import over_cells
-from jaxmpc.engine.rollout import run, scalars
+from jaxmpc.engine.base import scalars
+from jaxmpc.engine.linear_scan import over_cells, run
 from jaxmpc.experiment import Experiment
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
 from jaxmpc.stability.loop import contact_of
@@ -61,7 +61,7 @@ def settling(params: Params, A: Any, B: Any, C: Any) -> tuple[Any, Any, Any]:
 
 @jax.jit
 def step_by_step(gains: Any, *cells: Any) -> Any:
-    return over_cells(run, jax.vmap(lambda g: scalars(g, False))(gains), *cells)
+    return over_cells(run, scalars(gains, False), *cells)
 
 
 def check_gradient(rms: Callable[..., Any], params: Params) -> None:

@@ -11,8 +11,10 @@ import pytest
 from benchmarks import mujoco_loop
 from benchmarks.mujoco_loop import PAPER, PAPER_RMS, Loop
 from jaxmpc import Experiment, Params, Status, design, evaluate
-from jaxmpc.engine.rollout import scalars
-from jaxmpc.engine.scene import ProgramSpec, ScenarioData, program_spec, scenario_data, simulate_cells
+from jaxmpc.engine.base import scalars
+from jaxmpc.engine.base import ProgramSpec, ScenarioData
+from jaxmpc.engine.registry import choose
+from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.evaluation import _run
 from jaxmpc.law import gain_backoff
 from jaxmpc.law.cascade import Gains
@@ -47,7 +49,7 @@ HARD = changed(
 
 @partial(jax.jit, static_argnames=("world", "traced"))
 def cells(world: ProgramSpec, gains: Gains, K2: Any, scene: ScenarioData, traced: bool) -> Any:
-    return simulate_cells(world, gains, K2, None, scene, "float64", traced)
+    return choose(world).simulate(world, gains, K2, None, scene, "float64", traced)
 
 
 def check_parity(experiment: Experiment) -> None:
@@ -57,7 +59,7 @@ def check_parity(experiment: Experiment) -> None:
     """
     params, arm = Params(), experiment.arm
     gains = design(params)
-    batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scalars(gains, False))
+    batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], gains)
     found = cells(program_spec(experiment), batch, np.array([10.0]), scenario_data(experiment), True).trace
     heart, velocity = displacement(experiment.motion, np.arange(experiment.steps) * experiment.sampling_time)
     for row, stiffness in enumerate(experiment.stiffness):
@@ -98,7 +100,7 @@ def test_five_seconds_are_those_of_the_mujoco_loop(experiment: Experiment) -> No
 @pytest.mark.oracle
 @pytest.mark.parametrize("sensor", [{}, NO_COUNTS], ids=["counts", "fine"])
 def test_five_seconds_on_stock_mjx_are_those_of_the_mujoco_loop(sensor: dict[str, Any]) -> None:
-    check_parity(changed(EULER, physics="mjx", arm={"integrator": "leapfrog"}, sensor=sensor))
+    check_parity(changed(EULER, physics="mjx", sensor=sensor))
 
 
 @pytest.mark.oracle
@@ -106,7 +108,7 @@ def test_a_run_tells_the_gain_that_its_guard_leaves() -> None:
     """That of the guard alone over the force of the run, in numpy; far too stiff a tissue makes the loop swing."""
     experiment = changed(TABLE, duration=5.5, settle=5.0, stiffness=(810.0, 4000.0))
     gains = design(Params(guarded=True))
-    batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], scalars(gains, False))
+    batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], gains)
     found = cells(program_spec(experiment), batch, np.array([10.0]), scenario_data(experiment), True).trace
     error = np.asarray(found.force)[0] - np.asarray(found.force_ref)[0, ..., 0]
     gain = np.asarray(found.gain)[0, :, 0]

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from jaxmpc import Experiment, Params
-from jaxmpc.engine.arm_rollout import Cell, Program, start
+from jaxmpc.engine.base import ScenarioData, as_dtype, scalars
 from jaxmpc.engine.forward_dynamics import implicit
-from jaxmpc.engine.rollout import HIGHEST_FORCE, scalars
-from jaxmpc.engine.scene import ScenarioData, as_dtype, program_spec, scenario_data, side_by_side, simulate_cells
+from jaxmpc.engine.registry import choose
+from jaxmpc.engine.scenario import program_spec, scenario_data, side_by_side
 from jaxmpc.law.cascade import Gains
+from jaxmpc.loop.arm import ArmLoop, Cell, start
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.arm import chain
+from jaxmpc.xla import ops
 from tests.jaxmpc.arm_tables import NO_COUNTS, TABLE, changed
 from tuning import TuneSpec, tune
 
@@ -44,9 +46,10 @@ def residuals(points: jax.Array, scene: ScenarioData) -> jax.Array:
 
     def gains_of(x: jax.Array) -> Any:
         params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))
-        return scalars(design_one(params, scene.T_s)[0], False), params.K2
+        return design_one(params, scene.T_s)[0], params.K2
 
-    ran = simulate_cells(program_spec(SHORT), *jax.vmap(gains_of)(points), None, scene, "float64")
+    spec = program_spec(SHORT)
+    ran = choose(spec, "reverse").simulate(spec, *jax.vmap(gains_of)(points), None, scene, "float64")
     return jnp.mean(ran.metrics.rms, axis=(1, 2))
 
 
@@ -101,16 +104,16 @@ def descents() -> tuple[Callable[..., Any], Any, Any, int]:
     experiment = changed(TABLE, duration=1.0, settle=0.5, stiffness=(810.0,), reference={"z": -1.0})
     scene = as_dtype(scenario_data(experiment), "float64")
     world = program_spec(experiment)
-    assert world.kind is not None
-    program = Program(chain(), world.kind, implicit, HIGHEST_FORCE)
+    assert world.robot is not None
+    program = ArmLoop(chain(), world.robot, implicit)
     on_tissue = scene.robot._replace(tissue=scene.robot.tissue._replace(stiffness=scene.stiffness[0]))
-    gains = jax.vmap(lambda lam: scalars(design_one(Params(lam=lam), 1e-3)[0], False))(np.geomspace(0.01, 1.0, 64))
+    gains = jax.vmap(lambda lam: design_one(Params(lam=lam), 1e-3)[0])(np.geomspace(0.01, 1.0, 64))
     K2 = jnp.full(64, 10.0)
 
     def loss(gains: Gains) -> jax.Array:
-        return jnp.sum(simulate_cells(world, gains, K2, None, scene, "float64").metrics.rms)
+        return jnp.sum(choose(world).simulate(world, gains, K2, None, scene, "float64").metrics.rms)
 
-    carry = jax.eval_shape(lambda gains: start(program, Cell(gains, K2, on_tissue)), gains)
+    carry = jax.eval_shape(lambda gains: start(program, Cell(scalars(gains, False), K2, on_tissue), ops), gains)
     held = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(carry))
     value, both = (jax.jit(f).lower(gains).compile() for f in (loss, jax.value_and_grad(loss)))
     return gains, value, both, held * experiment.steps

@@ -15,7 +15,7 @@ import pytest
 import scipy.linalg
 
 from jaxmpc import Params, design
-from jaxmpc.engine.scene import scenario_data
+from jaxmpc.engine.scenario import scenario_data
 from jaxmpc.experiment import Experiment
 from jaxmpc.spectra.effort import asked, chatter_rms, effort_rms
 from jaxmpc.spectra.spectrum import spectrum_of

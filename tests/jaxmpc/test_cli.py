@@ -16,8 +16,8 @@ from deploy.runtime.linear import replay
 from jaxmpc import Experiment, InputError, Params, evaluate, evaluation
 from jaxmpc.cli import VERBS, comparison, main
 from jaxmpc.cli.simulate import simulated, with_heart_still, without_motion
-from jaxmpc.engine.arm_rollout import ArmSample
 from jaxmpc.files.toml import write_toml
+from jaxmpc.loop.arm import ArmSample
 from jaxmpc.pictures.film import SIZE, film
 from jaxmpc.terminal.process import use_all_cores
 from jaxmpc.xla import store

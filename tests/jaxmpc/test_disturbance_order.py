@@ -11,9 +11,11 @@ import scipy.linalg
 import scipy.signal
 
 from jaxmpc import InputError, Params, design, margins
-from jaxmpc.engine.rollout import AxisSignals, record, scalars
+from jaxmpc.engine.base import scalars
+from jaxmpc.engine.linear_scan import record
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
+from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis.plant import contact_model
 from jaxmpc.world.loop_path import loop_path

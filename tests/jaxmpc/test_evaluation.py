@@ -12,9 +12,10 @@ import scipy.signal
 
 from jaxmpc import Experiment, InputError, Params, Status, design, evaluate
 from jaxmpc.closed_loops import close_loops
-from jaxmpc.engine.cells import over_cells
-from jaxmpc.engine.rollout import run, scalars
-from jaxmpc.engine.scene import scenario_data
+from jaxmpc.engine.linear_scan import over_cells
+from jaxmpc.engine.base import scalars
+from jaxmpc.engine.linear_scan import run
+from jaxmpc.engine.scenario import scenario_data
 from jaxmpc.world.contact import hertz
 
 replace = msgspec.structs.replace
@@ -135,7 +136,7 @@ def residual(experiment: Experiment) -> Callable[[jax.Array], jax.Array]:
         params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))
         one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], params)
         gains, _, contacts, _ = close_loops(one, scene.stiffness, scene.path)
-        batch = jax.vmap(lambda g: scalars(g, False))(gains), contacts
+        batch = scalars(gains, False), contacts
         return jnp.sum(over_cells(run, *batch, scene.lsb, scene.signals)[0].rms)
 
     return jax.jit(total)

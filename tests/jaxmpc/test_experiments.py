@@ -109,7 +109,7 @@ def test_arm_and_linear_loop_ask_the_same_of_a_controller() -> None:
 
 def test_scenarios_of_rhythm_share_one_program() -> None:
     """They differ in data alone, so what one compiles serves the others."""
-    from jaxmpc.engine.scene import program_spec, scenario_data
+    from jaxmpc.engine.scenario import program_spec, scenario_data
 
     others = ("rhythm-steady", "rhythm-bigeminy", "ventilator-hold", "cough", "amplitude-drift")
     nominal = Experiment.published("table-1-wam")

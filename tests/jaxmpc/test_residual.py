@@ -18,14 +18,16 @@ import pytest
 import scipy.linalg
 
 from jaxmpc import Params, design
-from jaxmpc.engine.rollout import AxisSignals, advance, record, run, scalars, start
-from jaxmpc.engine.scene import scenario_data
+from jaxmpc.engine.base import scalars
+from jaxmpc.engine.linear_scan import record, run
+from jaxmpc.engine.scenario import scenario_data
 from jaxmpc.evaluation import evaluate
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.tables import ArmSettings, robot_of
 from jaxmpc.law import chain as arm
 from jaxmpc.law import computed_torque, friction_compensation
 from jaxmpc.law.scalar import apply, sub
+from jaxmpc.loop.linear import AxisSignals, advance, start
 from jaxmpc.spectra.input_disturbance import uncompensated_acceleration
 from jaxmpc.spectra.residual import residual_parts, residual_rms, responses
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of

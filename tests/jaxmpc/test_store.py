@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from jaxmpc import Experiment, Params, closed_loops, evaluation
-from jaxmpc.engine.scene import program_spec, scenario_data
+from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.xla import store
 from jaxmpc.xla.once import JitOnce
 

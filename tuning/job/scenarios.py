@@ -6,7 +6,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from jaxmpc.engine.scene import ScenarioData, scenario_data, side_by_side
+from jaxmpc.engine.base import ScenarioData
+from jaxmpc.engine.scenario import scenario_data, side_by_side
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.tables import Change
 from jaxmpc.files.errors import InputError

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpc.closed_loops import close_loops, lasted_per_motion, per_motion, run_loops
-from jaxmpc.engine.scene import ProgramSpec, ScenarioData, program_spec
+from jaxmpc.engine.base import ProgramSpec, ScenarioData
+from jaxmpc.engine.scenario import program_spec
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.synthesis.params import Params, by_structure

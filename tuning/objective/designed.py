@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmpc.engine.cells import over_cells
-from jaxmpc.engine.rollout import AxisSignals, run, scalars
-from jaxmpc.engine.scene import ProgramSpec, ScenarioData, simulate_cells
+from jaxmpc.engine.base import ProgramSpec, ScenarioData
+from jaxmpc.engine.registry import choose
 from jaxmpc.law.cascade import Gains
+from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import HP_MAX, METRICS
 from jaxmpc.spectra.effort import chatter_rms, effort_rms
@@ -101,9 +101,9 @@ def cells_of(controllers: Designed, data: Data, kind: ProblemStructure) -> Metri
     """
     scene, world = data.scene, kind.world
     if data.spectra is None:
-        gains = jax.vmap(lambda g: scalars(g, world.preview))(controllers.gains)
-        ran = simulate_cells(world, gains, controllers.params.K2, controllers.contacts, scene, kind.precision)
-        flat = jax.tree.map(lambda leaf: leaf.astype(jnp.float64), ran.metrics)
+        met = controllers.gains, controllers.params.K2, controllers.contacts
+        found = choose(world).simulate(world, *met, scene, kind.precision)
+        flat = jax.tree.map(lambda leaf: leaf.astype(jnp.float64), found.metrics)
         cells: Metrics = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:2], -1, 3), flat)
         return cells
 
@@ -113,10 +113,10 @@ def cells_of(controllers: Designed, data: Data, kind: ProblemStructure) -> Metri
 
     over_scenarios = jax.vmap(spectral, in_axes=(None, None, 0))
     over_tissues = jax.vmap(over_scenarios, in_axes=(None, 0, None))
-    found: Metrics = jax.vmap(over_tissues, in_axes=(0, 0, None))(controllers.gains, controllers.contacts, data.spectra)
+    seen: Metrics = jax.vmap(over_tissues, in_axes=(0, 0, None))(controllers.gains, controllers.contacts, data.spectra)
     if data.correction is None:
-        return found
-    corrected: Metrics = jax.tree.map(jnp.multiply, following_rms(found), data.correction)
+        return seen
+    corrected: Metrics = jax.tree.map(jnp.multiply, following_rms(seen), data.correction)
     return corrected
 
 
@@ -125,13 +125,15 @@ def following_rms(spectral: Metrics) -> Metrics:
     return spectral._replace(**{name: spectral.rms for name, metric in METRICS.items() if not metric.spectral})
 
 
-def overshoot_of(controllers: Designed, kind: ProblemStructure) -> Float[Array, "starts stiffness"]:
+def overshoot_of(controllers: Designed, data: Data, kind: ProblemStructure) -> Float[Array, "starts stiffness"]:
     """How far the force of the linear loop exceeds a step of its reference, relative to the step; traceable."""
     quiet, one = jnp.zeros((1, STEP_SAMPLES)), jnp.ones((1, STEP_SAMPLES))
     wanted = jnp.ones((1, STEP_SAMPLES, HP_MAX if kind.world.preview else 1))
-    gains = jax.vmap(lambda g: scalars(g, kind.world.preview))(controllers.gains)
-    metrics, _ = over_cells(run, gains, controllers.contacts, jnp.zeros(1), AxisSignals(quiet, quiet, wanted, one))
-    return jnp.maximum(metrics.peak_force[..., 0] - 1.0, 0.0)
+    linear = kind.world._replace(engine="scan", robot=None)
+    step = data.scene._replace(signals=AxisSignals(quiet, quiet, wanted, one), lsb=jnp.zeros(1))
+    met = controllers.gains, controllers.params.K2, controllers.contacts
+    found = choose(linear).simulate(linear, *met, step, "float64")
+    return jnp.maximum(found.metrics.peak_force[..., 0] - 1.0, 0.0)
 
 
 @partial(jax.jit, static_argnames=("kind",))

@@ -87,7 +87,7 @@ def judge(controllers: Designed, data: Data, kind: ProblemStructure) -> Judged:
     # An unstable loop would run away and make even the unused slope NaN: it stands still instead.
     safe = controllers._replace(gains=jax.tree.map(lambda gain: _where(stable, gain, 0.0), controllers.gains))
     cells = cells_of(safe, data, kind)
-    overshoot = overshoot_of(safe, kind) if OVERSHOOT in {*data.hard, *data.soft} else None
+    overshoot = overshoot_of(safe, data, kind) if OVERSHOOT in {*data.hard, *data.soft} else None
 
     def goals(limits: Mapping[str, Any]) -> dict[str, Array]:
         wide = {name: jnp.reshape(limit, (-1, 1, 1, 1)) for name, limit in limits.items()}

@@ -11,7 +11,8 @@ import msgspec
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from jaxmpc.engine.scene import ScenarioData, program_spec, scenario_data, side_by_side
+from jaxmpc.engine.base import ScenarioData
+from jaxmpc.engine.scenario import program_spec, scenario_data, side_by_side
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.spectra.input_disturbance import uncompensated_acceleration

@@ -18,12 +18,12 @@ import jax
 import msgspec
 import numpy as np
 
-from jaxmpc.engine.arm_rollout import ArmSignals
-from jaxmpc.engine.scene import program_spec, scenario_data
+from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.tables import robot_on_its_tissue
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import SealError, digest, seal, unseal, write_atomic
+from jaxmpc.loop.arm import ArmSignals
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params, by_structure
 from jaxmpc.terminal.progress import progress
@@ -217,7 +217,7 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
         base = trials[0]
         found: dict[int, list[np.ndarray]] = {}
         for members in by_structure(job.controllers):
-            program = block_program(program_spec(base).kind, base.reference.preview, varied, structure)
+            program = block_program(program_spec(base), varied, structure)
             batch = Params.stack([job.controllers[i] for i in members])
             shared = batch, constant, base.loop_path()
             outcomes = program((signals, own), shared)

@@ -8,15 +8,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxmpc.engine.arm_rollout import ArmSignals, Cell, Program, run
-from jaxmpc.engine.forward_dynamics import implicit
-from jaxmpc.engine.rollout import HIGHEST_FORCE, scalars
+from jaxmpc.engine.base import ProgramSpec, ScenarioData
+from jaxmpc.engine.registry import choose
 from jaxmpc.stability import ILL_POSED_ABOVE
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.status import Status
 from jaxmpc.synthesis import design_one
-from jaxmpc.world.arm import chain
-from jaxmpc.world.robot import Robot, RobotStructure
+from jaxmpc.world.robot import Robot
 from jaxmpc.xla.blocks import over_blocks
 
 AT_A_TIME = 12
@@ -24,12 +22,11 @@ AT_A_TIME = 12
 
 
 @lru_cache(maxsize=8)
-def block_program(kind: RobotStructure, preview: bool, varied: tuple[int, ...], structure: Any) -> Callable[..., Any]:
+def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) -> Callable[..., Any]:
     """A compiled function of ((signals, own), (params, constant, path)).
 
     Args:
-        kind: Structure of the arm's world.
-        preview: Whether the controllers know the reference along H_p.
+        spec: Structure of a trial's program.
         varied: Which leaves of a `Robot`, its tissue's stiffness among them, are a trial's own.
         structure: Of a `Robot`.
 
@@ -39,38 +36,40 @@ def block_program(kind: RobotStructure, preview: bool, varied: tuple[int, ...], 
         array (motions, copies) per varied leaf, are dealt to the devices by motion; constant holds all leaves of
         a `Robot`, and path is that of the experiment but for the delay, which the robots have.
     """
-    program = Program(chain(), kind, implicit, HIGHEST_FORCE)
 
     def block(batch: Any, shared: Any) -> Any:
         (signals, own), (params, constant, path) = batch, shared
         gains, residual = jax.vmap(lambda p: design_one(p, path.T_s))(params)
         leaves = list(constant)
         for k, values in zip(varied, own, strict=True):
-            leaves[k] = values[..., None]
+            leaves[k] = values
         robot: Robot = jax.tree.unflatten(structure, leaves)
-        shape = (*own[0].shape, len(residual))
-        stiffness, late = (jnp.broadcast_to(x, shape) for x in (robot.tissue.stiffness, robot.extra_delay))
+        cells = own[0].shape
+        stiffness = jnp.broadcast_to(robot.tissue.stiffness, cells)
 
         def radius(K_s: Any, extra: Any, g: Any, K2: Any) -> Any:
             return spectral_radius(closed_loop_matrix(g, contact_of(K_s, K2, replace(path, delay=1.0 + extra))))
 
-        over_controllers = jax.vmap(radius)
+        over_controllers = jax.vmap(radius, in_axes=(None, None, 0, 0))
         over_copies = jax.vmap(over_controllers, in_axes=(0, 0, None, None))
-        radii = jax.vmap(over_copies, in_axes=(0, 0, None, None))(stiffness, late, gains, params.K2)
+        over_motions = jax.vmap(over_copies, in_axes=(0, 0, None, None))
+        radii = over_motions(stiffness, jnp.broadcast_to(robot.extra_delay, cells), gains, params.K2)
 
-        apart = jax.vmap(lambda g: scalars(g, preview))(gains)
-        apart, K2 = jax.tree.map(lambda value: jnp.broadcast_to(value, shape), (apart, params.K2))
-        # Every operation of a run is elementwise, so arrays may stand for its scalars, as in `engine.arm_cells`.
-        met = ArmSignals(*(jnp.moveaxis(signal, 0, -1)[..., None, None] for signal in signals))
-        metrics, trouble, _ = run(program, Cell(apart, K2, robot), met, False)
-        rms, peak = (jnp.moveaxis(field, 0, -1) for field in (metrics.rms, metrics.peak_error))
+        data = ScenarioData(stiffness, signals, None, robot, path)
+        found = choose(spec).simulate(spec, gains, params.K2, None, data, "float64")
 
-        lasted = jnp.isinf(trouble.diverged) & jnp.all(jnp.isfinite(rms), axis=-1)
-        status = jnp.where(jnp.isinf(trouble.lost_contact), Status.OK, Status.LOST_CONTACT)
+        def per_trial(field: Any) -> Any:
+            """With dimensions (motions, copies, controllers, 3)."""
+            return jnp.transpose(field.reshape(*field.shape[:2], -1, 3), (2, 1, 0, 3))
+
+        rms, peak = map(per_trial, (found.metrics.rms, found.metrics.peak_error))
+        diverged, lost_contact = found.diverged.T, found.lost_contact.T
+        lasted = jnp.isinf(diverged) & jnp.all(jnp.isfinite(rms), axis=-1)
+        status = jnp.where(jnp.isinf(lost_contact), Status.OK, Status.LOST_CONTACT)
         status = jnp.where(lasted, status, Status.DIVERGED)
         status = jnp.where(radii < 1.0, status, Status.UNSTABLE)
         status = jnp.where((residual < ILL_POSED_ABOVE) & jnp.isfinite(radii), status, Status.ILL_POSED)
-        when = jnp.minimum(trouble.diverged, trouble.lost_contact)
+        when = jnp.minimum(diverged, lost_contact)
         kept = lasted[..., None]
         measured = (jnp.where(kept, field, jnp.nan) for field in (rms, peak))
         return status, jnp.where(jnp.isinf(when), jnp.nan, when), radii, *measured

@@ -1,0 +1,118 @@
+"""The door to every engine: what a program is made of, what it is given, what comes out, and who can run it."""
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxmpc.law.cascade import Gains
+from jaxmpc.loop.arm import ArmSample, ArmSignals
+from jaxmpc.loop.linear import AxisSignals, Sample
+from jaxmpc.metrics import Metrics
+from jaxmpc.world.contact import Contact
+from jaxmpc.world.loop_path import LoopPath
+from jaxmpc.world.robot import Robot, RobotStructure
+
+Mode = Literal["forward", "reverse"]
+"""A mode of differentiation."""
+
+
+class ProgramSpec(NamedTuple):
+    """What of an experiment needs a program of its own; hashable."""
+
+    engine: str
+    """Name of the engine that runs it."""
+    preview: bool
+    robot: RobotStructure | None
+    """Structure of the arm's world; None is the linear loop."""
+
+
+class ScenarioData(NamedTuple):
+    """What of an experiment is data for the compiled program."""
+
+    stiffness: Any
+    """(stiffness,); on the arm (motions, tissues) where each motion has tissues of its own [N/m]."""
+    signals: AxisSignals | ArmSignals
+    """Signals of the linear world with the axes first, of the arm with the motions first."""
+    lsb: Any
+    robot: Robot | None
+    path: LoopPath
+
+
+class CellResults(NamedTuple):
+    """What came out of the cells."""
+
+    metrics: Metrics
+    """(controllers, stiffness, 3·motions)"""
+    diverged: Any
+    """When a run left the finite numbers or `HIGHEST_FORCE`, (controllers, stiffness, runs); ∞ if never [s]. A run is a
+    motion on the arm, and on the linear loop an axis of one."""
+    lost_contact: Any
+    """When the tip left the tissue; ∞ if never [s]."""
+    trace: Sample | ArmSample | None
+    """(controllers, stiffness, axes, steps, …)"""
+
+
+class Engine(ABC):
+    """A way to run programs; it says how, never what.
+
+    Attributes:
+        name: As `ProgramSpec.engine` has it.
+        modes: Modes of differentiation through `simulate`.
+        precisions: Of the time stepping.
+        devices: Backends of JAX that it runs on.
+        integrators: Of the arm.
+    """
+
+    name: ClassVar[str]
+    modes: ClassVar[tuple[Mode, ...]] = ("forward", "reverse")
+    precisions: ClassVar[tuple[str, ...]] = ("float64", "float32")
+    devices: ClassVar[tuple[str, ...]] = ("cpu", "gpu")
+    integrators: ClassVar[tuple[str, ...]] = ("leapfrog", "euler")
+
+    @abstractmethod
+    def simulate(
+        self,
+        spec: ProgramSpec,
+        gains: Gains,
+        K2: Any,
+        contacts: Contact | None,
+        data: ScenarioData,
+        dtype: Any,
+        traced: bool = False,
+    ) -> CellResults:
+        """Every controller on every tissue, axis and motion; traceable.
+
+        Args:
+            spec: The structure.
+            gains: Whole ones, each (controllers, …).
+            K2: Damping, (controllers,) [1/s].
+            contacts: The linear worlds, (controllers, stiffness); the arm needs none.
+            data: The data.
+            dtype: Precision of the time stepping.
+            traced: Keep every sample.
+        """
+
+
+def scalars(gains: Gains, preview: bool) -> Gains:
+    """Gains with every vector taken apart into scalars, as the law's inner loop wants them.
+
+    Args:
+        gains: One controller, or a batch in the leading dimensions.
+        preview: Whether the reference is known along H_p; else its weights are summed.
+    """
+    ahead = gains.mpc_ref if preview else jnp.sum(gains.mpc_ref, axis=-1, keepdims=True)
+    vectors = gains._replace(mpc_ref=ahead)
+    names = ("phi", "gamma", "K", "L", "mpc_ref", "mpc_x")
+    return vectors._replace(**{name: tuple(jnp.moveaxis(getattr(vectors, name), -1, 0)) for name in names})
+
+
+def as_dtype(tree: Any, dtype: Any) -> Any:
+    """Floating leaves in another precision; masks stay what they are."""
+
+    def cast(leaf: Any) -> Any:
+        leaf = jnp.asarray(leaf)
+        return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    return jax.tree.map(cast, tree)

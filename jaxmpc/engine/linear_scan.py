@@ -1,0 +1,88 @@
+"""The linear loop over time as a scan, over every controller, stiffness and axis."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxmpc.law.cascade import Gains
+from jaxmpc.loop.linear import HIGHEST_FORCE, AxisSignals, LinearCarry, Sample, advance, start
+from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, nothing
+from jaxmpc.world.contact import Contact
+from jaxmpc.xla import ops
+
+STRETCH = 125
+"""Samples between two checkpoints of the reverse mode and two partial sums of the metrics."""
+
+
+def over_cells(function: Callable[..., Any], gains: Gains, contacts: Contact, lsb: Any, signals: AxisSignals) -> Any:
+    """f(gains, contact, lsb, signals) for every cell of a batch.
+
+    Controllers are the innermost dimension of the computation: they alone differ in everything and are
+    many, so each operation runs over contiguous memory (three axes innermost cost a factor of three).
+
+    Args:
+        function: `run` or `record`.
+        gains: Taken apart into scalars, each (controllers,).
+        contacts: Each (controllers, stiffnesses).
+        lsb: Quantisation per axis, (3,) [N].
+        signals: Axis first, (3, steps, …); its acceleration may be None.
+
+    Returns:
+        What the function returns, with leading dimensions (controllers, stiffnesses, 3).
+    """
+    over_controllers = jax.vmap(function, in_axes=(0, 0, None, None))
+    over_axes = jax.vmap(over_controllers, in_axes=(None, None, 0, 0))
+    over_stiffness = jax.vmap(over_axes, in_axes=(None, 1, None, None))
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 2, 0), over_stiffness(gains, contacts, lsb, signals))
+
+
+def run(gains: Gains, contact: Contact, lsb: Any, signals: AxisSignals) -> tuple[Metrics, Any]:
+    """Metrics of one axis over a whole experiment, and when its force left 1 kN, ∞ if never [s].
+
+    Time runs in stretches: each is one checkpoint of the reverse mode and one partial sum, so that
+    gradients need the memory of √steps states and float32 sums keep their digits.
+    """
+    steps = len(signals.heart)
+    full = -(-steps // STRETCH) * STRETCH
+
+    def stretches(signal: Array) -> Array:
+        padded = jnp.pad(signal, [(0, full - steps)] + [(0, 0)] * (signal.ndim - 1))
+        return padded.reshape(-1, STRETCH, *signal.shape[1:])
+
+    def one(state: tuple[LinearCarry, Totals], now: AxisSignals) -> tuple[tuple[LinearCarry, Totals], None]:
+        carry, totals = state
+        following, sample = advance(gains, contact, lsb, carry, at_one_sample(now), ops)
+        error, before = sample.force - sample.force_ref[0], carry.contact.pending[0]
+        totals = add(totals, now.score, error, sample.a, sample.a - before, sample.force, ops)
+        return (following, totals), None
+
+    @jax.checkpoint
+    def stretch(state: tuple[LinearCarry, Totals], part: AxisSignals) -> tuple[tuple[LinearCarry, Totals], Any]:
+        carry, totals = state
+        (carry, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, empty), part)
+        return (carry, merge(totals, partial, ops)), ~(partial.highest_force < HIGHEST_FORCE)
+
+    empty = nothing(jnp.zeros_like(gains.mpc_u))
+    parts = jax.tree.map(stretches, signals)
+    (_, totals), away = jax.lax.scan(stretch, (start(gains), empty), parts)
+    # To one stretch: a flag per sample would cost every run what only a lost one needs.
+    when = jnp.where(jnp.any(away), STRETCH * jnp.argmax(away) * contact.T_s, jnp.inf)
+    return metrics(totals, jnp.sum(signals.score), ops), when
+
+
+def record(gains: Gains, contact: Contact, lsb: Any, signals: AxisSignals) -> Sample:
+    """Every sample of one axis over a whole experiment, each field of shape (steps, …)."""
+
+    def one(carry: LinearCarry, now: AxisSignals) -> tuple[LinearCarry, Sample]:
+        following, sample = advance(gains, contact, lsb, carry, at_one_sample(now), ops)
+        return following, sample._replace(force_ref=now.force_ref)
+
+    return jax.lax.scan(one, start(gains), signals)[1]
+
+
+def at_one_sample(now: AxisSignals) -> AxisSignals:
+    """The signals of a sample as the step takes them: the reference ahead as scalars."""
+    return now._replace(force_ref=tuple(now.force_ref))

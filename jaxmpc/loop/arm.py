@@ -1,0 +1,172 @@
+"""One sample of the closed loop on the arm: law, drives, robot and heart, one cell of a batch."""
+
+from collections.abc import Sequence
+from math import inf
+from typing import Any, NamedTuple
+
+from jaxmpc.law import cascade, force_control
+from jaxmpc.law.cascade import Gains
+from jaxmpc.law.chain import Chain
+from jaxmpc.law.scalar import Scalar, Vector
+from jaxmpc.loop.linear import HIGHEST_FORCE
+from jaxmpc.world import drive, robot
+from jaxmpc.world.robot import Accelerate, Robot, RobotState, RobotStructure
+
+
+class ArmSignals(NamedTuple):
+    """What the arm meets, the same for every controller: at one sample, or as arrays (…, steps, …)."""
+
+    heart: Any
+    """The heart at the sample: position [m] and velocity [m/s], a `HeartSample` or (…, 2, 3)."""
+    between: Any
+    """The same where the integrator asks: as many as there are substeps, or (…, substeps, 2, 3)."""
+    noise: Any
+    """Per axis, or (…, 3) [N]."""
+    force_ref: Any
+    """Per axis what is wanted ahead, or (…, 3, ahead) [N]."""
+    score: Any
+    """Per axis, or (…, 3): 1 where a sample counts, else 0."""
+    softening: Scalar
+    """Factor on the tissue's stiffness [-]."""
+    watch: Scalar
+    """1 once contact must not be lost, else 0."""
+    time: Scalar
+    """[s]"""
+
+
+class ArmSample(NamedTuple):
+    """What a recorded run keeps of one sample; vectors over X, Y, Z or J1–J4."""
+
+    force: Any
+    """Measured force [N]."""
+    force_ref: Any
+    """[N]"""
+    u: Any
+    """MPC output [N]."""
+    v: Any
+    """Command of the cascade [m/s²]."""
+    a: Any
+    """Acceleration asked of the tip [m/s²]."""
+    p_hat: Any
+    """Estimated disturbance [m/s²]."""
+    tip: Any
+    """Displacement of the tip from where it touched [m]."""
+    q: Any
+    """Joint angles [rad]."""
+    torque: Any
+    """Torques sent [N m]."""
+    gain: Any = (1.0,)
+    """Share of the loop's gain that the guard leaves [-]; 1 without one."""
+
+
+class Trouble(NamedTuple):
+    """When something happened first [s]; ∞ if it did not."""
+
+    diverged: Any
+    lost_contact: Any
+
+
+class ArmCarry(NamedTuple):
+    """State of the whole loop between two samples."""
+
+    controller: force_control.ControllerState
+    robot: RobotState
+    a: Any
+    """Accelerations asked at the last sample [m/s²]."""
+
+
+class Cell(NamedTuple):
+    """One controller on one tissue."""
+
+    gains: Gains
+    """Taken apart into scalars."""
+    K2: Any
+    robot: Robot
+
+
+class ArmLoop(NamedTuple):
+    """What the step is built from; hashable."""
+
+    chain: Chain
+    structure: RobotStructure
+    accelerate: Accelerate
+    """Joint accelerations, `jaxmpc.world.robot.accelerate` or another way to them."""
+
+
+def start(loop: ArmLoop, cell: Cell, ops: Any) -> ArmCarry:
+    """The loop at rest: the tip touches without force."""
+    zero = 0.0 * cell.K2
+    state = robot.init(loop.chain, loop.structure, cell.robot, zero, ops)
+    resting = state.drive.angle if loop.structure.compensated else None
+    controller = force_control.init(zero, cascade.order(cell.gains), resting, cell.gains.guard is not None)
+    return ArmCarry(controller, state, (zero, zero, zero))
+
+
+def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: Any) -> tuple[ArmCarry, ArmSample]:
+    """One sample of the closed loop.
+
+    Args:
+        loop: Arm and structure.
+        cell: Controller and constants.
+        carry: State.
+        now: What is met at this sample.
+        ops: Scalar functions.
+    """
+    chain, structure = loop.chain, loop.structure
+    tissue = cell.robot.tissue
+    met = cell.robot._replace(tissue=tissue._replace(stiffness=tissue.stiffness * now.softening))
+    force, tip, state = robot.sense(chain, structure, met, carry.robot, now.heart, now.noise, ops)
+    seen = state.drive
+    controller, command = force_control.step(
+        chain,
+        met.nominal,
+        met.posture,
+        cell.gains,
+        cell.K2,
+        carry.controller,
+        seen.angle,
+        seen.velocity,
+        force,
+        now.force_ref,
+        ops,
+    )
+    held, sent = drive.command(met.drive, command.torque.torque, ops)
+    controller = force_control.applied(controller, command, held)
+    following = robot.move(chain, structure, met, state, sent, now.between, loop.accelerate, ops)
+    gain = 1.0 + 0.0 * cell.K2 if controller.guard is None else controller.guard.gain
+    sample = ArmSample(
+        force,
+        now.force_ref,
+        tuple(axis.u for axis in controller.axes),
+        command.v,
+        command.a,
+        tuple(axis.p_hat for axis in controller.axes),
+        tip,
+        state.q,
+        sent,
+        (gain,),
+    )
+    return ArmCarry(controller, following, command.a), sample
+
+
+def untroubled(like: Scalar) -> Trouble:
+    """Nothing has happened yet; in the form of a finite number or batch."""
+    never = 0.0 * like + inf
+    return Trouble(never, never)
+
+
+def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, ops: Any) -> Trouble:
+    """What has happened first, this sample included."""
+    largest = _largest(sample.force, ops)
+    indented = now.heart.position[2] - sample.tip[2]
+    lost = ops.where(now.watch > 0.0, now.time, inf)
+    return Trouble(
+        # A comparison with what is no number is false.
+        ops.minimum(trouble.diverged, ops.where(largest < HIGHEST_FORCE, inf, now.time)),
+        ops.minimum(trouble.lost_contact, ops.where(indented < 0.0, lost, inf)),
+    )
+
+
+def _largest(values: Vector | Sequence[Scalar], ops: Any) -> Scalar:
+    x, y, z = map(abs, values)
+    return ops.maximum(ops.maximum(x, y), z)

@@ -1,0 +1,84 @@
+"""One sample of the linear closed loop: law, contact and imperfections of one axis."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from jaxmpc.law import cascade
+from jaxmpc.law.cascade import Gains
+from jaxmpc.world import contact
+from jaxmpc.world.contact import Contact
+from jaxmpc.world.quantise import quantise
+
+Scalar = Any
+
+HIGHEST_FORCE = 1e3
+"""A run whose force leaves this has diverged [N]."""
+
+
+class AxisSignals(NamedTuple):
+    """What one axis meets: at one sample, or with leading dimensions (…, steps)."""
+
+    heart: Scalar
+    """Position of the heart's surface [m]."""
+    noise: Scalar
+    """[N]"""
+    force_ref: Sequence[Scalar]
+    """Wanted force, of the sample itself or 1 … H_p samples ahead [N]."""
+    score: Scalar
+    """Whether the sample counts."""
+    acceleration: Scalar | None = None
+    """Acceleration of the tip by what else acts on it, such as friction [m/s²]; None costs nothing."""
+
+
+class Sample(NamedTuple):
+    """What a recorded run keeps of one sample."""
+
+    force: Scalar
+    """Measured force [N]."""
+    force_ref: Any
+    """Wanted force: what the controller was told, one value or H_p of them [N]."""
+    u: Scalar
+    """MPC output [N]."""
+    v: Scalar
+    """Command of the cascade [m/s²]."""
+    a: Scalar
+    """Acceleration asked of the robot [m/s²]."""
+    p_hat: Scalar
+    """Estimated disturbance [m/s²]."""
+    tip: Scalar
+    """Tip position [m]."""
+
+
+class LinearCarry(NamedTuple):
+    """State of the whole loop between two samples."""
+
+    controller: cascade.AxisState
+    contact: contact.ContactState
+
+
+def start(gains: Gains) -> LinearCarry:
+    """The loop at rest: the tip touches without force."""
+    zero = 0.0 * gains.mpc_u
+    return LinearCarry(cascade.init(zero, cascade.order(gains)), contact.init(zero))
+
+
+def advance(
+    gains: Gains, world: Contact, lsb: Scalar, carry: LinearCarry, now: AxisSignals, ops: Any
+) -> tuple[LinearCarry, Sample]:
+    """One sample of the closed loop.
+
+    Args:
+        gains: The controller, taken apart into scalars.
+        world: Constants of the axis.
+        lsb: Quantisation of the force sensor [N]; 0 is none.
+        carry: State.
+        now: What is met at this sample.
+        ops: Scalar functions.
+    """
+    clean, state = contact.sense(world, carry.contact, now.heart)
+    force = quantise(clean + now.noise, lsb, ops)
+    controller, v = cascade.step(gains, carry.controller, force, now.force_ref)
+    tip = state.x
+    state, a = contact.move(world, state, v, now.acceleration)
+    sample = Sample(force, now.force_ref, controller.u, v, a, controller.p_hat, tip)
+    return LinearCarry(controller, state), sample
