@@ -24,6 +24,7 @@ ON_ROBOT = (
     "jaxmpc.world.contact",
     "jaxmpc.world.drive",
     "jaxmpc.world.friction",
+    "jaxmpc.world.quantise",
     "jaxmpc.world.robot",
     "jaxmpc.world.sensor",
     "jaxmpc.world.tissue",

@@ -60,9 +60,9 @@ class Engine(ABC):
     Attributes:
         name: As `ProgramSpec.engine` has it.
         modes: Modes of differentiation through `simulate`.
-        precisions: Of the time stepping.
+        precisions: Those of the time stepping.
         devices: Backends of JAX that it runs on.
-        integrators: Of the arm.
+        integrators: Those of the arm.
     """
 
     name: ClassVar[str]

@@ -20,7 +20,7 @@ from jaxmpc.experiment.tables import kind_of, robot_on_its_tissue
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
-from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, start
+from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, advance, start
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import arm, friction

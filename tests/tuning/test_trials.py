@@ -110,7 +110,7 @@ def test_every_trial_is_the_experiment_it_says() -> None:
 def test_motions_robots_and_controllers_find_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """A program that gives back what it was given, for controllers of two structures in between each other."""
 
-    def block_program(kind: Any, preview: bool, varied: Any, structure: Any) -> Callable[..., Any]:
+    def block_program(spec: Any, varied: Any, structure: Any) -> Callable[..., Any]:
         def run(batch: Any, shared: Any) -> Any:
             (signals, own), (params, *_) = batch, shared
             K2 = np.broadcast_to(params.K2, (*own[0].shape, len(params.K2)))

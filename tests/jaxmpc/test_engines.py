@@ -1,0 +1,57 @@
+"""Engines: chosen by name, saying what they can do, and as many programs of one in a process as wanted."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmpc import Params, evaluate
+from jaxmpc.engine.registry import ENGINES, choose
+from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
+from jaxmpc.evaluation import designed
+from jaxmpc.files.errors import InputError
+from tests.jaxmpc.arm_tables import TABLE, changed
+
+BRIEF = changed(with_physics(TABLE, "mjx"), duration=0.05, settle=0.02, stiffness=(810.0,), reference={"z": -1.0})
+
+
+def test_a_second_program_of_mjx_in_one_process_is_the_first_ones_equal() -> None:
+    """Its model must not belong to the trace of the first program."""
+    longer = changed(BRIEF, duration=0.06, settle=0.02)
+    first, second = (evaluate(Params(), each, trace=True).trace for each in (BRIEF, longer))
+    assert first is not None
+    assert second is not None
+    np.testing.assert_allclose(second.force[..., :50], first.force, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("physics", ["linear", "wam", "mjx"])
+def test_what_an_engine_declares_it_can_differentiate(physics: str) -> None:
+    """Each mode that it has, on one sample, against the other."""
+    experiment = changed(with_physics(BRIEF, physics), duration=0.003, settle=0.0)
+    spec, data = program_spec(experiment), scenario_data(experiment)
+    engine, params = ENGINES[spec.engine], jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], Params())
+    gains, contacts, _ = designed(params, data, ideal=spec.ideal)
+
+    def residual(factor: Any) -> Any:
+        scaled = gains._replace(input_gain=factor * gains.input_gain)
+        return jnp.sum(engine.simulate(spec, scaled, params.K2, contacts, data, "float64").metrics.rms)
+
+    slopes = {"forward": jax.jacfwd, "reverse": jax.grad}
+    found = [float(jax.jit(slopes[mode](residual))(1.0)) for mode in engine.modes]
+    assert found[0] != 0.0
+    np.testing.assert_allclose(found, found[0], rtol=1e-6)
+
+
+def test_an_engine_is_refused_what_it_does_not_know() -> None:
+    spec = program_spec(BRIEF)
+    assert choose(spec).name == "mjx"
+    with pytest.raises(InputError, match="kernel"):
+        choose(spec._replace(engine="kernel"))
+
+
+def test_stock_mjx_steps_as_mujoco_does_and_says_so() -> None:
+    assert BRIEF.arm.integrator == "euler"
+    with pytest.raises(InputError, match="euler"):
+        changed(TABLE, physics="mjx")
