@@ -46,7 +46,7 @@ def residuals(points: jax.Array, scene: ScenarioData) -> jax.Array:
 
     def gains_of(x: jax.Array) -> Any:
         params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))
-        return design_one(params, scene.T_s)[0], params.K2
+        return design_one(params, scene.path.T_s)[0], params.K2
 
     spec = program_spec(SHORT)
     ran = choose(spec, "reverse").simulate(spec, *jax.vmap(gains_of)(points), None, scene, "float64")
