@@ -80,7 +80,6 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
 
     from jaxmpc import Params
     from jaxmpc.closed_loops import close_loops
-    from jaxmpc.engine.base import scalars
     from jaxmpc.engine.registry import choose
     from jaxmpc.engine.scenario import program_spec, scenario_data
     from jaxmpc.xla.blocks import over_blocks

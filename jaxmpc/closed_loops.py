@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxmpc.loop.arm import ArmSample
-from jaxmpc.loop.linear import HIGHEST_FORCE, Sample
 from jaxmpc.engine.base import CellResults, ProgramSpec, ScenarioData
 from jaxmpc.engine.registry import choose
 from jaxmpc.law.cascade import Gains
+from jaxmpc.loop.arm import ArmSample
+from jaxmpc.loop.linear import HIGHEST_FORCE, Sample
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of

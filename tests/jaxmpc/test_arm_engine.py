@@ -11,7 +11,6 @@ import pytest
 from benchmarks import mujoco_loop
 from benchmarks.mujoco_loop import PAPER, PAPER_RMS, Loop
 from jaxmpc import Experiment, Params, Status, design, evaluate
-from jaxmpc.engine.base import scalars
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
 from jaxmpc.engine.registry import choose
 from jaxmpc.engine.scenario import program_spec, scenario_data

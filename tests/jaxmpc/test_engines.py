@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxmpc import Params, evaluate
+from jaxmpc.closed_loops import close_loops
 from jaxmpc.engine.registry import ENGINES, choose
 from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
-from jaxmpc.evaluation import designed
 from jaxmpc.files.errors import InputError
 from tests.jaxmpc.arm_tables import TABLE, changed
 
@@ -32,11 +32,11 @@ def test_what_an_engine_declares_it_can_differentiate(physics: str) -> None:
     experiment = changed(with_physics(BRIEF, physics), duration=0.003, settle=0.0)
     spec, data = program_spec(experiment), scenario_data(experiment)
     engine, params = ENGINES[spec.engine], jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], Params())
-    gains, contacts, _ = designed(params, data)
+    gains, K2, contacts, _ = close_loops(params, data.stiffness, data.path)
 
     def residual(factor: Any) -> Any:
         scaled = gains._replace(input_gain=factor * gains.input_gain)
-        return jnp.sum(engine.simulate(spec, scaled, params.K2, contacts, data, "float64").metrics.rms)
+        return jnp.sum(engine.simulate(spec, scaled, K2, contacts, data, "float64").metrics.rms)
 
     slopes = {"forward": jax.jacfwd, "reverse": jax.grad}
     found = [float(jax.jit(slopes[mode](residual))(1.0)) for mode in engine.modes]

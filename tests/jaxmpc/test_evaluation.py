@@ -12,9 +12,8 @@ import scipy.signal
 
 from jaxmpc import Experiment, InputError, Params, Status, design, evaluate
 from jaxmpc.closed_loops import close_loops
-from jaxmpc.engine.linear_scan import over_cells
 from jaxmpc.engine.base import scalars
-from jaxmpc.engine.linear_scan import run
+from jaxmpc.engine.linear_scan import over_cells, run
 from jaxmpc.engine.scenario import scenario_data
 from jaxmpc.world.contact import hertz
 
