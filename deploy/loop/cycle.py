@@ -148,12 +148,14 @@ class Cycle:
         if timing.late:
             doubt = Reason.LATE
         hazard, detail = self._hazard(reading, timing.hazard, late)
+        if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
+            detail = JOINTS[oldest]
         seen = Observations(
             hazard,
             age,
             danger,
             doubt,
-            detail or (JOINTS[oldest] if age > machine.BRIDGED or danger is not Reason.NONE else ""),
+            detail,
             self._active > 0,
             self.controller.touching(force),
             self.controller.travelled(where.tip),

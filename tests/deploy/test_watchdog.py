@@ -9,10 +9,13 @@ import threading
 import time
 from argparse import ArgumentParser, Namespace
 
+import can
 import pytest
 from can.cli import add_bus_arguments
 
-from deploy.loop.watchdog import IDLE_FRAMES, Watchdog, WatchdogError, bus_flags, overdue
+from deploy.loop.beats import BeatPage
+from deploy.loop.watchdog import Watchdog, WatchdogError, bus_flags
+from deploy.loop.watchdog_process import IDLE_FRAMES, SOCKET, overdue
 
 MS = 1_000_000
 SLACK = 0.25
@@ -172,6 +175,40 @@ def test_a_stopped_controller_finds_out_before_its_first_cycle(server, controlle
     assert frames[0][0] - stopped < 0.010 + SLACK
     controller.send_signal(signal.SIGCONT)
     assert controller.stdout.readline() == "fired\n"
+
+
+WRITER = """
+import sys, time
+from deploy.loop.beats import BeatPage
+page, end = BeatPage(int(sys.argv[1])), time.monotonic() + 1.0
+while time.monotonic() < end:
+    for number in range(1, 1000):
+        page.alive = page.beat = number << 32 | number
+"""
+
+
+def test_no_time_is_read_half_written():
+    descriptor = BeatPage.create()
+    page = BeatPage(descriptor)
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(descriptor)], pass_fds=(descriptor,))
+    os.close(descriptor)
+    while not page.beat:
+        pass
+    seen = set()
+    while writer.poll() is None:
+        for _ in range(10_000):
+            seen.add(page.alive)
+            seen.add(page.beat)
+    assert len(seen) > 100
+    assert all(number >> 32 == number & 0xFFFFFFFF > 0 for number in seen)
+
+
+def test_the_socket_of_pythons_socketcand_client_is_where_it_is_looked_for(server):
+    bus = can.Bus(interface="socketcand", host="127.0.0.1", port=server.listening.getsockname()[1], channel="can0")
+    try:
+        assert isinstance(getattr(bus, SOCKET), socket.socket)
+    finally:
+        bus.shutdown()
 
 
 def test_without_a_bus_there_is_no_watchdog(capfd):

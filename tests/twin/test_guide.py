@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy.doctor import Traffic
-from deploy.loop.watchdog import IDLE_FRAMES
+from deploy.loop.watchdog_process import IDLE_FRAMES
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from jaxmpc.cli import VERBS

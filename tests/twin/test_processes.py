@@ -164,6 +164,8 @@ def test_a_minute_in_real_time_completes_or_says_that_it_was_late(tmp_path):
     assert "cycles of 1000 µs wanted" in output
     if process.returncode == 0:
         assert "ended: stopped, finished" in output
+    elif "ended: fault, stalled" in output:  # so late that the watchdog lowered the arm
+        assert "watchdog: no beat for" in output or not re.search("cycles missed 0$", output, re.MULTILINE), output
     else:
         assert "late" in output.splitlines()[-1], output
     assert os.listdir(tmp_path / "flights") if process.returncode else True
