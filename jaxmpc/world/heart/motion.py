@@ -1,5 +1,6 @@
 """How the heart moves: position and velocity of its surface at any time."""
 
+from collections.abc import Callable
 from typing import Annotated, Literal
 
 import msgspec
@@ -9,6 +10,8 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import convert
 from jaxmpc.world.heart import harmonics, recording, rhythm
 
+Surface = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Position, shape (n, 3) [m], and velocity, shape (n, 3) [m/s], of the heart's surface at times, shape (n,) [s]."""
 Seed = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)]
 Size = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
@@ -95,33 +98,60 @@ def displacement(motion: Motion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     Raises:
         InputError: A value is out of bounds, a recording unusable or too short, the times not as above.
     """
-    # What was built in Python has not met its bounds yet.
-    convert(msgspec.to_builtins(motion), Motion, "motion")
     if t.ndim != 1 or not (np.isfinite(t).all() and (t >= 0.0).all() and (np.diff(t) >= 0.0).all()):
         remedy = "Sort the times and begin at 0 s or later."
         raise InputError("t", "something else", "a vector of finite times that do not decrease, from 0 on", remedy)
+    return prepared(motion, t.max(initial=0.0))(t)
+
+
+def prepared(motion: Motion, until: float) -> Surface:
+    """Draw beats or read a recording once; what is returned takes any times up to `until` [s], as `displacement` does.
+
+    Raises:
+        InputError: A value is out of bounds, or a recording unusable.
+    """
+    # What was built in Python has not met its bounds yet.
+    convert(msgspec.to_builtins(motion), Motion, "motion")
+    unfaded = _unfaded(motion, until)
+
+    def surface(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        position, velocity = unfaded(t)
+        grown = harmonics.fade_in(t, motion.start, motion.fade)[:, None]
+        growing = harmonics.fade_in_rate(t, motion.start, motion.fade)[:, None]
+        return grown * position, grown * velocity + growing * position
+
+    return surface
+
+
+def _unfaded(motion: Motion, until: float) -> Surface:
+    """Motion at its full size from the start on."""
     seed = motion.seed if motion.phases == "random" else None
     match motion.kind:
         case "none":
-            return np.zeros((len(t), 3)), np.zeros((len(t), 3))
+            return lambda t: (np.zeros((len(t), 3)), np.zeros((len(t), 3)))
         case "harmonics":
-            position = harmonics.harmonic_motion(t, motion.scale, seed)
-            velocity = harmonics.harmonic_velocity(t, motion.scale, seed)
+            return lambda t: (
+                harmonics.harmonic_motion(t, motion.scale, seed),
+                harmonics.harmonic_velocity(t, motion.scale, seed),
+            )
         case "rhythm":
-            position, velocity = _rhythmic(motion, t, seed)
+            beats = rhythm.beats(motion, until)
+            return lambda t: _rhythmic(motion, beats, t, seed)
         case "recording":
             times, values = recording.read_recording(motion.file, motion.unit)
-            local = np.maximum(t - motion.start, 0.0)
-            played = recording.recorded_motion(local, times, values, motion.repeat, motion.file)
-            position, velocity = (motion.scale * signal for signal in played)
-    grown = harmonics.fade_in(t, motion.start, motion.fade)[:, None]
-    growing = harmonics.fade_in_rate(t, motion.start, motion.fade)[:, None]
-    return grown * position, grown * velocity + growing * position
+
+            def played(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                local = np.maximum(t - motion.start, 0.0)
+                position, velocity = recording.recorded_motion(local, times, values, motion.repeat, motion.file)
+                return motion.scale * position, motion.scale * velocity
+
+            return played
 
 
-def _rhythmic(motion: Motion, t: np.ndarray, phase_seed: int | None) -> tuple[np.ndarray, np.ndarray]:
+def _rhythmic(
+    motion: Motion, beats: rhythm.Beats, t: np.ndarray, phase_seed: int | None
+) -> tuple[np.ndarray, np.ndarray]:
     """gain(θ_h)·heartbeat(θ_h) + respiration(θ_r) + cough, per-axis factors on all, plus the drift."""
-    beats = rhythm.beats(motion, t.max(initial=0.0))
     cardiac, cardiac_rate = rhythm.cardiac_phase(beats.onsets, t)
     gain, gain_slope = rhythm.beat_gain(beats.gain, cardiac)
     beat, beat_slope = harmonics.heartbeat(cardiac, phase_seed)
