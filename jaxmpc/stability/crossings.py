@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from jaxmpc.stability.search import peak, root
@@ -21,8 +22,14 @@ Loop = Callable[..., Complex[Array, "..."]]
 
 POINTS = 300
 """Angles searched, 3.1 % apart up to the Nyquist frequency, then refined to the last bit."""
+BENDS, PARTS = 4, 32
+"""Places looked at more closely, where the curve bends most, and in how many parts each: a resonance of a controller
+may be narrower than 3 %, and rise and fall between two angles."""
 LOWEST = 2.0 * pi * 5e-5
 """Lowest angle searched [rad]: 0.05 Hz at 1 kHz."""
+_ROW = np.append(np.repeat(np.arange(BENDS), PARTS + 1), np.full(POINTS, BENDS))
+_INSIDE = _ROW[2:] == _ROW[:-2]
+"""Rows of a `Curve`, and which of its points between the first and the last have a neighbour on either side."""
 CHORD_STEPS = 12
 """Each gains three digits and more; the start has four."""
 
@@ -57,9 +64,8 @@ def loop_margins(live: Loop, frozen: Loop, T_s: Any) -> LoopMargins:
         frozen: The same loop with its parameters behind `stop_gradient`.
         T_s: Sampling time [s].
     """
-    theta = LOWEST * (pi / LOWEST) ** jnp.linspace(0.0, 1.0, POINTS)
-    places = _places(frozen, theta)
-    at = jnp.concatenate([places.peak[None], theta[-1:], places.gain, places.lag])
+    places = _places(frozen)
+    at = jnp.concatenate([places.peak[None], jnp.full(1, pi), places.gain, places.lag])
     response = live(at)
     slope = jax.jvp(frozen, (at,), (jnp.ones_like(at),))[1]
 
@@ -71,25 +77,58 @@ def loop_margins(live: Loop, frozen: Loop, T_s: Any) -> LoopMargins:
     return LoopMargins(M_s, up, down, lag, late)
 
 
-def _places(loop: Loop, theta: Float[Array, " n"]) -> Places:
+class Curve(NamedTuple):
+    """The loop at rows of rising angles; the last and longest row ends at the Nyquist frequency."""
+
+    theta: Float[Array, " points"]
+    response: Complex[Array, " points"]
+    piece: Bool[Array, " points-1"]
+    """Whether a point and the next enclose a piece of the curve that no other row shows more closely."""
+
+
+def search_angles() -> Float[Array, " angles"]:
+    """Angles at which every loop is looked at [rad]."""
+    return LOWEST * (pi / LOWEST) ** jnp.linspace(0.0, 1.0, POINTS)
+
+
+def _curve(loop: Loop) -> Curve:
+    """The loop over all angles, and more closely where it bends most near the unit circle."""
+    theta = search_angles()
     response = loop(theta)
-    top = jnp.clip(jnp.argmin(jnp.abs(1.0 + response)), 1, POINTS - 2)
+    steps = jnp.log(response[1:] / response[:-1])
+    bend = jnp.abs(steps[1:] - steps[:-1]) / (1.0 + jnp.log(jnp.abs(response[1:-1])) ** 2)
+    sharpest = []
+    for _ in range(BENDS):
+        sharpest.append(1 + jnp.argmax(bend))
+        bend = jnp.where(jnp.abs(jnp.arange(1, POINTS - 1) - sharpest[-1]) < 2, -1.0, bend)
+    middle = jnp.stack(sharpest)
+    low, high = theta[middle - 1, None], theta[middle + 1, None]
+    closely = jnp.ravel(low + (high - low) * jnp.linspace(0.0, 1.0, PARTS + 1))
+    seen_closely = jnp.any(jnp.abs(jnp.arange(POINTS - 1)[:, None] + 0.5 - middle) < 1.0, axis=1)
+    piece = jnp.asarray(_ROW[1:] == _ROW[:-1]) & ~jnp.append(jnp.zeros(len(closely), bool), seen_closely)
+    return Curve(jnp.append(closely, theta), jnp.append(loop(closely), response), piece)
+
+
+def _places(loop: Loop) -> Places:
+    theta, response, piece = _curve(loop)
+    distance = jnp.where(_INSIDE, jnp.abs(1.0 + response[1:-1]), jnp.inf)
+    top = 1 + jnp.argmin(distance)
     highest = peak(lambda at: -jnp.abs(1.0 + loop(at)), theta[top - 1], theta[top + 1])
 
     imaginary, real = response.imag, response.real
     # The sampled loop ends on the real axis: its last point is a crossing too, and no change of sign.
-    changes = (imaginary[:-1] * imaginary[1:] < 0.0) & (jnp.arange(1, POINTS) < POINTS - 1)
+    changes = piece & (imaginary[:-1] * imaginary[1:] < 0.0) & (jnp.arange(len(piece)) < len(piece) - 1)
     level = real[:-1] + _share(imaginary, changes) * (real[1:] - real[:-1])
     level = jnp.append(jnp.where(changes, level, 0.0), real[-1])
     inside, outside = (level < 0.0) & (level > -1.0), level <= -1.0
     away = jnp.abs(jnp.log(jnp.maximum(-level, 1e-300)))
     chosen = jnp.argmin(jnp.where(jnp.stack([inside, outside]), away, jnp.inf), axis=1)
-    low = jnp.minimum(chosen, POINTS - 2)
+    low = jnp.minimum(chosen, len(piece) - 1)
     crossing = root(lambda at: loop(at).imag, theta[low], theta[low + 1], imaginary[low] < 0.0)
-    crossing = jnp.where(chosen == POINTS - 1, theta[-1], crossing)
+    crossing = jnp.where(chosen == len(piece), theta[-1], crossing)
 
     size = jnp.log(jnp.abs(response))
-    changes = size[:-1] * size[1:] < 0.0
+    changes = piece & (size[:-1] * size[1:] < 0.0)
     # From one point to the next the angle turns by less than half a circle: no need to unwrap them all.
     angle = jnp.angle(response[:-1])
     turned = angle + _share(size, changes) * jnp.angle(response[1:] / response[:-1])
