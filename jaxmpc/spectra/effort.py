@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from jaxmpc.law.cascade import Gains
 from jaxmpc.spectra.residual import Responses, root_mean_square
 from jaxmpc.spectra.spectrum import Spectrum
-from jaxmpc.stability.response import controller_response, tip_response
+from jaxmpc.stability.response import closed_loop
 from jaxmpc.world.contact import Contact
 
 
@@ -45,16 +45,9 @@ def asked(gains: Gains, contact: Contact, theta: Any) -> Responses:
         contact: One world.
         theta: Angles θ = ω T_s [rad].
     """
-    q = jnp.exp(-1j * theta)
-    sensor = (1.0 - contact.sensor_pole) / (1.0 - contact.sensor_pole * q)
-    velocity = (1.0 - contact.velocity_pole) / (1.0 - contact.velocity_pole * q)
-    x, xdot = tip_response(contact, theta)
-    late = jnp.exp(-1j * theta * (1.0 + contact.extra_delay))
-    controller, felt = controller_response(gains, q), sensor * contact.stiffness
-    damping = contact.K2 * velocity * xdot
-    closed = 1.0 + damping - felt * x * controller
-    noise = controller / closed
-    return Responses(-felt * noise, felt * x / late * noise - damping / late / closed, noise)
+    loop = closed_loop(gains, contact, theta)
+    noise = loop.controller / loop.whole
+    return Responses(-loop.force * noise, loop.early * (loop.force * loop.x * noise - loop.damping / loop.whole), noise)
 
 
 def _change(gains: Gains, contact: Contact, theta: Any) -> Responses:

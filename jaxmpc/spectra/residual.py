@@ -21,7 +21,7 @@ from jaxtyping import Array, Complex, Float
 
 from jaxmpc.law.cascade import Gains
 from jaxmpc.spectra.spectrum import Spectrum
-from jaxmpc.stability.response import Response, controller_response, tip_response
+from jaxmpc.stability.response import Response, closed_loop
 from jaxmpc.world.contact import Contact
 
 LOWEST, BEND, POINTS = 1e-3, 0.2, 96
@@ -60,15 +60,9 @@ class Parts(NamedTuple):
 
 def responses(gains: Gains, contact: Contact, theta: Any) -> Responses:
     """How the closed loop answers at angles θ = ω T_s [rad]; traceable, differentiable."""
-    q = jnp.exp(-1j * theta)
-    sensor = (1.0 - contact.sensor_pole) / (1.0 - contact.sensor_pole * q)
-    velocity = (1.0 - contact.velocity_pole) / (1.0 - contact.velocity_pole * q)
-    x, xdot = tip_response(contact, theta)
-    at_once = x * jnp.exp(1j * theta * (1.0 + contact.extra_delay))
-    damped = 1.0 + contact.K2 * velocity * xdot
-    felt = sensor * contact.stiffness
-    closed = damped - felt * x * controller_response(gains, q)
-    return Responses(-damped * felt / closed, felt * at_once / closed, damped / closed)
+    loop = closed_loop(gains, contact, theta)
+    noise = (1.0 + loop.damping) / loop.whole
+    return Responses(-noise * loop.force, loop.force * loop.x * loop.early / loop.whole, noise)
 
 
 def residual_rms(gains: Gains, contact: Contact, spectrum: Spectrum) -> Float[Array, "3"]:

@@ -1,5 +1,6 @@
 """The closed loop as a matrix, built by running the law and the world themselves."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -8,10 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmpc.law import cascade
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.cascade import AxisState, Gains
 from jaxmpc.synthesis.plant import hold_integrals
-from jaxmpc.world import contact as world
-from jaxmpc.world.contact import Contact
+from jaxmpc.world.contact import Contact, ContactState, init, move, sense
 from jaxmpc.world.loop_path import LoopPath
 
 Scalar = Float[Array, ""]
@@ -50,27 +50,47 @@ def _pole(cutoff: Any, T_s: Any) -> Any:
 
 
 def closed_loop_matrix(gains: Gains, contact: Contact) -> Float[Array, "n n"]:
-    """Transition matrix of controller and world together, one column per unit vector of their states.
+    """Transition matrix of one axis: controller and contact together.
 
     Args:
         gains: One controller.
         contact: One world; heart, noise and reference are zero.
     """
     zero = jnp.zeros_like(gains.mpc_u)
-    flat, restore = jax.flatten_util.ravel_pytree((cascade.init(zero, cascade.order(gains)), world.init(zero)))
-    quiet = (zero,) * len(gains.mpc_ref[:1])
     gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
 
-    def advance(vector: Array) -> Array:
-        controller, state = restore(vector)
-        # An active state without gain (MPC alone) stays at its start, zero: it is no mode of the loop.
-        controller = controller._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, controller.p_hat))
-        force, state = world.sense(contact, state, zero)
-        controller, v = cascade.step(gains, controller, force, quiet)
-        state, _ = world.move(contact, state, v)
-        return jax.flatten_util.ravel_pytree((controller, state))[0]
+    def advance(controller: AxisState, state: ContactState) -> tuple[AxisState, ContactState]:
+        force, state = sense(contact, state, zero)
+        controller, v = cascade.step(gains, controller, force, (zero,))
+        return controller, move(contact, state, v)[0]
 
-    return jax.vmap(advance, out_axes=1)(jnp.eye(len(flat)))
+    return transition_matrix(gains, advance, cascade.init(zero, cascade.order(gains)), init(zero))
+
+
+def transition_matrix(
+    gains: Gains, advance: Callable[[Any, Any], tuple[Any, Any]], controller: Any, state: Any
+) -> Float[Array, "n n"]:
+    """Derivative of one sample of a closed loop by its state, raveled: the controller's part first.
+
+    Args:
+        gains: The controller.
+        advance: One sample: the next states of controller and world.
+        controller: Where it is taken; holds the `AxisState` of each axis.
+        state: Of the world, likewise.
+    """
+    flat, restore = jax.flatten_util.ravel_pytree((controller, state))
+
+    def active(axis: AxisState) -> AxisState:
+        # An active state without gain (MPC alone) stays at its start, zero: it is no mode of the loop.
+        return axis._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, axis.p_hat))
+
+    def following(vector: Array) -> Array:
+        controller, state = restore(vector)
+        controller = jax.tree.map(active, controller, is_leaf=lambda node: isinstance(node, AxisState))
+        return jax.flatten_util.ravel_pytree(advance(controller, state))[0]
+
+    matrix: Array = jax.jacfwd(following)(flat)
+    return matrix
 
 
 @jax.custom_jvp

@@ -16,21 +16,16 @@ which is the tip of `jaxmpc.world.contact` with φ = (s/ω, c), γ = ((1 − c)/
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxmpc.law import cascade
 from jaxmpc.law import chain as arm
-from jaxmpc.law.cascade import Gains
-from jaxmpc.stability.crossings import LOWEST, POINTS
-from jaxmpc.stability.loop import contact_of, spectral_radius
-from jaxmpc.stability.response import controller_response, tip_response
-from jaxmpc.stability.search import peak
+from jaxmpc.stability import margins_one
+from jaxmpc.stability.loop import contact_of
+from jaxmpc.stability.response import spring_integrals
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
-from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath, loop_path
 from jaxmpc.xla.once import JitOnce
@@ -88,7 +83,7 @@ def _over_cells(params: Params, stiffness: Any, frequencies: Any, path: LoopPath
     gains, _ = design_one(params, path.T_s)
 
     def mode(K_s: Any, omega: Any) -> Any:
-        return _peak(gains, _on_spring(contact_of(K_s, params.K2, path), omega), omega)
+        return margins_one(gains, on_spring(contact_of(K_s, params.K2, path), omega), ideal=False).M_s
 
     cells = jax.vmap(jax.vmap(mode, in_axes=(None, 0)), in_axes=(0, None))(stiffness, frequencies)
     return jnp.max(cells, axis=1)
@@ -97,55 +92,9 @@ def _over_cells(params: Params, stiffness: Any, frequencies: Any, path: LoopPath
 _peaks = JitOnce(_over_cells)
 
 
-def _on_spring(contact: Contact, omega: Any) -> Contact:
-    """The tip of a world on a spring ω², but for the disturbance −ω² x."""
+def on_spring(contact: Contact, omega: Any) -> Contact:
+    """The same world with its tip on a spring ω² as well; its damping must be a sampled one."""
     # Below it the cosine is 1 to the last bit, and the tip is free.
     omega = jnp.maximum(omega, 1e-6 / contact.T_s)
-    turned = 0.5 * omega * contact.T_s
-    along = jnp.sin(2.0 * turned) / omega
-    return contact._replace(phi=(along, jnp.cos(2.0 * turned)), gamma=(2.0 * (jnp.sin(turned) / omega) ** 2, along))
-
-
-def _peak(gains: Gains, contact: Contact, omega: Any) -> Any:
-    """M_s of one mode, the worse of the cuts at v and at a; ∞ if it is unstable."""
-    theta = LOWEST * (jnp.pi / LOWEST) ** jnp.linspace(0.0, 1.0, POINTS)
-
-    def at_cut(cut_at_a: bool) -> Any:
-        def closeness(at: Any) -> Any:
-            return -jnp.abs(1.0 + _response(gains, contact, omega, at, cut_at_a))
-
-        top = jnp.clip(jnp.argmax(closeness(theta)), 1, POINTS - 2)
-        highest = jnp.stack([peak(closeness, theta[top - 1], theta[top + 1]), theta[-1]])
-        return jnp.max(-1.0 / closeness(highest))
-
-    stable = spectral_radius(_closed_loop_matrix(gains, contact, omega)) < 1.0
-    return jnp.where(stable, jnp.maximum(at_cut(False), at_cut(True)), jnp.inf)
-
-
-def _response(gains: Gains, contact: Contact, omega: Any, theta: Any, cut_at_a: bool) -> Any:
-    """Open loop as `response.loop_response` has it, with the spring's force closed about the tip."""
-    q = jnp.exp(-1j * theta)
-    x, xdot = tip_response(contact, theta)
-    held = 1.0 + omega**2 * x / q ** (1.0 + contact.extra_delay)
-    sensor = (1.0 - contact.sensor_pole) / (1.0 - contact.sensor_pole * q)
-    velocity = (1.0 - contact.velocity_pole) / (1.0 - contact.velocity_pole * q)
-    force = -controller_response(gains, q) * sensor * contact.stiffness * x / held
-    damping = contact.K2 * velocity * xdot / held
-    return force + damping if cut_at_a else force / (1.0 + damping)
-
-
-def _closed_loop_matrix(gains: Gains, contact: Contact, omega: Any) -> Float[Array, "n n"]:
-    """Transition matrix of controller and tip on its spring; as `loop.closed_loop_matrix`."""
-    zero = jnp.zeros_like(gains.mpc_u)
-    flat, restore = jax.flatten_util.ravel_pytree((cascade.init(zero, cascade.order(gains)), world.init(zero)))
-    gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
-
-    def advance(vector: Array) -> Array:
-        controller, state = restore(vector)
-        controller = controller._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, controller.p_hat))
-        force, sensed = world.sense(contact, state, zero)
-        controller, v = cascade.step(gains, controller, force, (zero,))
-        state, _ = world.move(contact, sensed, v, -(omega**2) * state.x)
-        return jax.flatten_util.ravel_pytree((controller, state))[0]
-
-    return jax.vmap(advance, out_axes=1)(jnp.eye(len(flat)))
+    first, second = spring_integrals(omega**2, contact.T_s)
+    return contact._replace(phi=(first, jnp.cos(omega * contact.T_s)), gamma=(second, first), spring=omega**2)

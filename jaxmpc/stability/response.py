@@ -4,7 +4,7 @@ The law's equations are triangular in the z-domain, so its transfer function nee
 test holds these formulas against an independent state-space model of the whole loop, as others hold the law.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Complex
@@ -52,6 +52,49 @@ def controller_response(gains: Gains, q: Response) -> Response:
     return response
 
 
+class Filters(NamedTuple):
+    """What the measurements of a loop are multiplied with at each angle."""
+
+    force: Response
+    """Measured force per displacement of the tip: sensor and tissue [N/m]."""
+    damping: Response
+    """Damping per velocity of the tip: low-pass and K₂ [1/s]."""
+
+
+def filters(contact: Contact, q: Response) -> Filters:
+    """Sensor and velocity filter of a loop at q = z⁻¹."""
+    sensor = (1.0 - contact.sensor_pole) / (1.0 - contact.sensor_pole * q)
+    velocity = (1.0 - contact.velocity_pole) / (1.0 - contact.velocity_pole * q)
+    return Filters(sensor * contact.stiffness, velocity * contact.K2)
+
+
+class ClosedLoop(NamedTuple):
+    """Factors of which every answer of the closed loop is made, at each angle."""
+
+    controller: Response
+    """C, command per measured force [m/s²/N]."""
+    force: Response
+    """H K_s, measured force per displacement of the tip [N/m]."""
+    damping: Response
+    """D, damping per command [-]."""
+    x: Response
+    """X, displacement of the tip per command [s²]."""
+    early: Response
+    """What takes the delay of a command out: what acts at once is X · early per acceleration [-]."""
+    whole: Response
+    """1 + D − H K_s X C, by which every answer is divided [-]."""
+
+
+def closed_loop(gains: Gains, contact: Contact, theta: Any) -> ClosedLoop:
+    """Factors of the closed loop at angles θ = ω T_s [rad]; traceable, differentiable."""
+    q = jnp.exp(-1j * theta)
+    x, xdot = tip_response(contact, theta)
+    controller, (force, damping) = controller_response(gains, q), filters(contact, q)
+    early = jnp.exp(1j * theta * (1.0 + contact.extra_delay))
+    whole = 1.0 + damping * xdot - force * x * controller
+    return ClosedLoop(controller, force, damping * xdot, x, early, whole)
+
+
 def tip_response(contact: Contact, theta: Any, late: Any = None) -> tuple[Response, Response]:
     r"""Tip position [s²] and velocity [s] per acceleration asked of the robot, at z = e^{jθ}.
 
@@ -63,20 +106,38 @@ def tip_response(contact: Contact, theta: Any, late: Any = None) -> tuple[Respon
     """
     q = jnp.exp(-1j * theta)
     whole = 0.0 if late is None else jnp.floor(late)
-    delay = jnp.exp(-1j * theta * (1.0 + contact.extra_delay + whole))
     gamma_1, gamma_2 = contact.gamma
     if late is not None:
         first, second = _held(contact, 1.0 - (late - whole))
         gamma_1, gamma_2 = second + q * (gamma_1 - second), first + q * (gamma_2 - first)
-    xdot = delay * gamma_2 * q / (1.0 - contact.phi[1] * q)
-    x = q * (contact.phi[0] * xdot + delay * gamma_1) / (1.0 - q)
+    delay = jnp.exp(-1j * theta * (1.0 + contact.extra_delay + whole))
+    x, xdot = _moved(contact, q, delay * gamma_1, delay * gamma_2)
+    if contact.spring is not None:
+        # Its force acts at once.
+        held = 1.0 + contact.spring * _moved(contact, q, *contact.gamma)[0]
+        x, xdot = x / held, xdot / held
     return x, xdot
+
+
+def _moved(contact: Contact, q: Response, gamma_1: Any, gamma_2: Any) -> tuple[Response, Response]:
+    """Position and velocity per acceleration that adds so much to both in one sample."""
+    xdot = gamma_2 * q / (1.0 - contact.phi[1] * q)
+    return q * (contact.phi[0] * xdot + gamma_1) / (1.0 - q), xdot
 
 
 def _held(contact: Contact, part: Any) -> tuple[Any, Any]:
     """First and second hold integral over the last part of a sample."""
+    if contact.spring is not None:
+        return spring_integrals(contact.spring, part * contact.T_s)
     damping = (1.0 - contact.phi[1]) / contact.phi[0]
     return hold_integrals(damping, part * contact.T_s)
+
+
+def spring_integrals(spring: Any, duration: Any) -> tuple[Any, Any]:
+    """First [s] and second [s²] integral of the cosine of a tip on a spring ω² > 0 [1/s²]."""
+    omega = jnp.sqrt(spring)
+    half = jnp.sin(0.5 * omega * duration) / omega
+    return 2.0 * half * jnp.cos(0.5 * omega * duration), 2.0 * half**2
 
 
 def loop_response(gains: Gains, contact: Contact, theta: Any, cut_at_a: Any, late: Any = None) -> Response:
@@ -93,10 +154,8 @@ def loop_response(gains: Gains, contact: Contact, theta: Any, cut_at_a: Any, lat
         late: Delay added where it is cut [samples]; None is none.
     """
     q = jnp.exp(-1j * theta)
-    sensor = (1.0 - contact.sensor_pole) / (1.0 - contact.sensor_pole * q)
-    velocity = (1.0 - contact.velocity_pole) / (1.0 - contact.velocity_pole * q)
-    from_force = -controller_response(gains, q) * sensor * contact.stiffness
-    from_velocity = contact.K2 * velocity
+    from_force, from_velocity = filters(contact, q)
+    from_force = -controller_response(gains, q) * from_force
 
     def loops(delay: Any) -> tuple[Response, Response]:
         x, xdot = tip_response(contact, theta, delay)

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
-import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -21,6 +20,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
 from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, advance, start
+from jaxmpc.stability.loop import transition_matrix
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import arm, friction
@@ -52,20 +52,14 @@ def whole_arm_matrix(chain: Chain, kind: RobotStructure, robot: Robot, gains: Ga
     program = ArmLoop(chain, kind._replace(attached=True), world.accelerate)
     cell = Cell(gains, jnp.asarray(K2, float), _smooth(robot))
     begin, quiet = start(program, cell, ops), _quiet(kind.substeps)
-    flat, restore = jax.flatten_util.ravel_pytree((begin.controller, begin.robot))
 
-    def following(vector: Array) -> Array:
-        controller, state = restore(vector)
-        # An active state without gain (MPC alone) stays at its start, zero: it is no mode of the loop.
-        axes = (a._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, a.p_hat)) for a in controller.axes)
-        carry = begin._replace(controller=controller._replace(axes=tuple(axes)), robot=state)
-        after, _ = advance(program, cell, carry, quiet, ops)
+    def one_sample(controller: Any, state: Any) -> tuple[Any, Any]:
+        after, _ = advance(program, cell, begin._replace(controller=controller, robot=state), quiet, ops)
         # Bristles without force are no mode either.
-        settled = after.robot._replace(bristles=friction.init(0.0 * after.robot.q[0]))
-        return jax.flatten_util.ravel_pytree((after.controller, settled))[0]
+        bristles = friction.init(0.0 * after.robot.q[0])
+        return after.controller, after.robot._replace(bristles=bristles)
 
-    matrix: Array = jax.jacfwd(following)(flat)
-    return matrix
+    return transition_matrix(gains, one_sample, begin.controller, begin.robot)
 
 
 def radii(matrices: Float[np.ndarray, "*batch n n"]) -> Float[np.ndarray, "*batch"]:

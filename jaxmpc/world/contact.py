@@ -6,7 +6,7 @@ Exact between samples, because the command is held and the heart moves the force
 
 with aₖ = vₖ for the paper's ideal damping (6), which then sits in φ and γ, or aₖ = vₖ − K₂ ẋ_f,ₖ for
 damping through the sampled, filtered velocity, delayed like every command. A disturbance acceleration wₖ, held
-like a command but not delayed, adds to aₖ₋d.
+like a command but not delayed, adds to aₖ₋d. A spring adds −ω² xₖ in the same way (`jaxmpc.stability.presliding`).
 """
 
 from math import pi
@@ -34,6 +34,8 @@ class Contact(NamedTuple):
     """Pole of the force sensor's low-pass [-]; 0 passes everything."""
     extra_delay: Scalar
     """0 for a delay of one sample, 1 for two."""
+    spring: Scalar | None = None
+    """Spring that holds the tip besides the tissue, ω² [1/s²], for which φ and γ are made; None costs nothing."""
 
 
 class ContactState(NamedTuple):
@@ -95,6 +97,8 @@ def move(
     applied = newest + contact.extra_delay * (older - newest)
     if disturbance is not None:
         applied = applied + disturbance
+    if contact.spring is not None:
+        applied = applied - contact.spring * state.x
     x = state.x + contact.phi[0] * state.xdot + contact.gamma[0] * applied
     xdot = contact.phi[1] * state.xdot + contact.gamma[1] * applied
     return state._replace(x=x, xdot=xdot, pending=(a, newest)), a
