@@ -164,8 +164,8 @@ def test_narrow_resonances_are_in_every_margin(cut: float) -> None:
         lag = np.angle(-response[:-1][np.diff(np.sign(np.log(np.abs(response)))) != 0], deg=True)
         found = cut_margins(params, K_s, 1.0, False, cut)
         assert float(found.M_s) == pytest.approx(1.0 / np.abs(1.0 + response).min(), rel=1e-3)
-        assert float(found.gain_margin_db) == pytest.approx(decibels[decibels > 0.0].min(initial=np.inf), abs=0.01)
-        assert float(found.gain_reduction_db) == pytest.approx(-decibels[decibels < 0.0].max(initial=-np.inf), abs=0.01)
+        assert float(found.gain_margin_db) == pytest.approx(decibels[decibels > 0.0].min(), rel=2e-3)
+        assert float(found.gain_reduction_db) == pytest.approx(-decibels[decibels < 0.0].max(initial=-np.inf), rel=2e-3)
         assert float(found.phase_margin_deg) == pytest.approx(np.mod(lag, 360.0).min(), abs=0.1)
 
 
