@@ -11,9 +11,9 @@ import scipy.linalg
 from jaxmpc import Experiment, InputError, Params, design, margins
 from jaxmpc.law import chain as arm
 from jaxmpc.stability.loop import contact_of
-from jaxmpc.stability.presliding import _on_spring, presliding_frequencies, presliding_peak
-from jaxmpc.stability.response import controller_response
-from jaxmpc.world import contact as world
+from jaxmpc.stability.presliding import on_spring, presliding_frequencies, presliding_peak
+from jaxmpc.stability.response import controller_response, tip_response
+from jaxmpc.world import contact
 from jaxmpc.world.arm import chain
 from jaxmpc.world.loop_path import loop_path
 
@@ -89,10 +89,15 @@ def test_unstable_is_no_peak() -> None:
 
 
 def test_tip_on_a_spring_is_that_of_the_matrix_exponential() -> None:
-    omega, state = 300.0, world.init(0.0)
-    contact = _on_spring(contact_of(1900.0, 0.0, loop_path()), omega)
+    """From sample to sample, and in the frequency response, with the command a fraction of a sample later."""
+    omega, state = 300.0, contact.init(0.0)
+    held = on_spring(contact_of(1900.0, 0.0, loop_path()), omega)
     state = state._replace(x=2e-3, xdot=0.1, pending=(3.0, 0.0))
-    moved, _ = world.move(contact, state, 0.0, -(omega**2) * state.x)
+    moved, _ = contact.move(held, state, 0.0)
     flow = np.array([[0.0, 1.0, 0.0], [-(omega**2), 0.0, 1.0], [0.0, 0.0, 0.0]])
-    expected = scipy.linalg.expm(flow * T_S) @ [2e-3, 0.1, 3.0]
-    np.testing.assert_allclose([moved.x, moved.xdot], expected[:2], rtol=1e-12)
+    whole = scipy.linalg.expm(flow * T_S)
+    np.testing.assert_allclose([moved.x, moved.xdot], (whole @ [2e-3, 0.1, 3.0])[:2], rtol=1e-12)
+    for late, theta in ((0.0, 0.2), (0.4, 0.2), (0.4, 2.0)):
+        z, newer = np.exp(1j * theta), scipy.linalg.expm(flow * (1.0 - late) * T_S)[:2, 2]
+        expected = np.linalg.solve(z * np.eye(2) - whole[:2, :2], newer + (whole[:2, 2] - newer) / z) / z
+        np.testing.assert_allclose(tip_response(held, theta, late), expected, rtol=1e-9)

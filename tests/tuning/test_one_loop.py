@@ -1,0 +1,56 @@
+"""One loop: whoever says M_s of a design on an experiment says the same number, whatever its filters and delays."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from deploy.controller.artifact import load
+from jaxmpc import Experiment, InputError, Params, evaluate, margins
+from jaxmpc.cli.freeze import freeze_controller
+from jaxmpc.experiment.experiment import SensorSettings
+from tuning import TuneSpec
+from tuning.objective.designed import designed
+from tuning.objective.problem import problem_of, training
+
+STIFFNESS = (375.0, 810.0)
+EXPERIMENT = {"damping": "sampled", "stiffness": list(STIFFNESS), "duration": 3.5, "settle": 3.0, "delay": 2}
+SLOW_FILTERS = {"velocity_lowpass": 300.0, "sensor": {"lowpass_hz": 120.0}}
+
+
+@pytest.mark.parametrize("filters", [{}, SLOW_FILTERS], ids=["default", "slower"])
+def test_everybody_judges_one_loop(
+    small: Callable[..., dict[str, Any]], tmp_path: Path, filters: dict[str, Any]
+) -> None:
+    experiment, params = Experiment.from_dict({**EXPERIMENT, **filters}), Params.published("cautious")
+    found = np.asarray(margins(params, STIFFNESS, path=experiment.loop_path()).M_s)
+
+    evaluated = np.asarray(evaluate(params, experiment).margins.M_s)
+    job = small(experiment={**EXPERIMENT, **filters}, tune={"duration": 3.5, "settle": 3.0}, goals={"ideal": False})
+    spec = TuneSpec.from_dict(job)
+    problem = problem_of(spec, "linear", training(spec, [0]))
+    tuned = jax.jit(lambda p, data: designed(p, data, 1.0).found)(params, problem.data)
+    at = np.searchsorted(spec.judged_at, STIFFNESS)
+    freeze_controller(tmp_path / "a.npz", params, experiment, {"M_s": float(found.max()) + 1e-6}, ideal=False)
+    frozen = {row["stiffness"]: row["M_s"] for row in load(tmp_path / "a.npz").margins}
+    for others in (evaluated, np.asarray(tuned.M_s)[at], [frozen[K_s] for K_s in STIFFNESS]):
+        np.testing.assert_allclose(others, found, rtol=1e-9)
+    with pytest.raises(InputError, match="M_s at"):
+        freeze_controller(tmp_path / "b.npz", params, experiment, {"M_s": float(found.max()) - 1e-6}, ideal=False)
+
+
+def test_filters_that_are_told_count_and_the_default_is_one() -> None:
+    told, silent = Experiment(damping="sampled", velocity_lowpass=300.0), Experiment(physics="wam", delay=2)
+    assert told.loop_path().velocity_cutoff == 300.0
+    assert silent.loop_path().sensor_cutoff == told.loop_path().sensor_cutoff == pytest.approx(2.0 * np.pi * 500.0)
+    assert (silent.loop_path().ideal, silent.loop_path().delay) == (False, 2)
+    assert Experiment().loop_path().ideal
+    assert Experiment().loop_path().sensor_cutoff == Experiment().loop_path(ideal=True).sensor_cutoff == 0.0
+    assert Experiment().loop_path(ideal=False).sensor_cutoff == silent.loop_path().sensor_cutoff
+    for lowpass_hz in (0.0, 100.0):
+        explicit = Experiment(sensor=SensorSettings(lowpass_hz=lowpass_hz))
+        for ideal in (True, False):
+            assert explicit.loop_path(ideal).sensor_cutoff == pytest.approx(2.0 * np.pi * lowpass_hz)
