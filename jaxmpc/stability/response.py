@@ -114,8 +114,9 @@ def tip_response(contact: Contact, theta: Any, late: Any = None) -> tuple[Respon
     x, xdot = _moved(contact, q, delay * gamma_1, delay * gamma_2)
     if contact.spring is not None:
         # Its force acts at once.
-        held = 1.0 + contact.spring * _moved(contact, q, *contact.gamma)[0]
-        x, xdot = x / held, xdot / held
+        at_once = _moved(contact, q, *contact.gamma)
+        x = x / (1.0 + contact.spring * at_once[0])
+        xdot = xdot - contact.spring * x * at_once[1]
     return x, xdot
 
 
