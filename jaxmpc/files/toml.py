@@ -121,10 +121,16 @@ def _line_of(path: Path, key: str) -> int | None:
 
 
 def write_toml(path: str | Path, data: dict[str, Any], comment: str = "") -> None:
-    """Write a TOML file whole or not at all."""
+    """Write a TOML file whole or not at all; None, of which TOML has no word, is left out."""
     import tomli_w
 
     from jaxmpc.files.sealed import write_atomic
 
     head = "".join(f"# {line}\n" for line in comment.splitlines())
-    write_atomic(Path(path), (head + tomli_w.dumps(data)).encode())
+    write_atomic(Path(path), (head + tomli_w.dumps(_without_none(data))).encode())
+
+
+def _without_none(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {key: _without_none(value) for key, value in data.items() if value is not None}
+    return data

@@ -128,7 +128,6 @@ def test_every_verb_has_help(capsys: pytest.CaptureFixture[str]) -> None:
 def experiment_file(folder: Path, **changes: Any) -> str:
     """A short linear Table I of one's own."""
     plain = Experiment.published("table-1").to_dict() | {"name": "short", "duration": 8.0} | changes
-    plain["arm"] = {key: value for key, value in plain["arm"].items() if value is not None}
     write_toml(folder / "short.toml", plain)
     return str(folder / "short.toml")
 

@@ -98,7 +98,7 @@ def write_csv(path: Path, job: Job, names: Sequence[str], found: Outcomes) -> No
 def write_trial(path: Path, trial: Experiment, comment: str) -> None:
     """A trial as an experiment's file, for `jaxmpc simulate`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_toml(path, _without_none(trial.to_dict()), comment)
+    write_toml(path, trial.to_dict(), comment)
 
 
 def trials_figure(path: Path, names: Sequence[str], found: Outcomes) -> None:
@@ -137,9 +137,3 @@ def _drawn(trial: Experiment) -> list[Any]:
 
 def _short(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.7g}"
-
-
-def _without_none(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _without_none(value) for key, value in data.items() if value is not None}
-    return data
