@@ -38,6 +38,7 @@ from jaxmpc.world.contact import hertz
 from jaxmpc.world.heart.motion import displacement
 from jaxmpc.world.loop_path import loop_path
 from jaxmpc.world.robot import accelerate
+from jaxmpc.xla import ops
 from tests.jaxmpc.linear_loop import (
     DAMPED,
     SILENT,
@@ -216,7 +217,7 @@ def test_nothing_but_an_addition_is_what_a_disturbance_costs() -> None:
 
     def operations(signals: AxisSignals) -> int:
         now = jax.tree.map(lambda signal: signal[0], signals)
-        jaxpr = jax.make_jaxpr(partial(advance, gains, contact, jnp.zeros(())))(start(gains), now)
+        jaxpr = jax.make_jaxpr(partial(advance, gains, contact, jnp.zeros(()), ops=ops))(start(gains), now)
         return len(jaxpr.eqns)
 
     assert operations(disturbed) == operations(undisturbed) + 1
