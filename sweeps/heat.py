@@ -1,7 +1,7 @@
 """The heat map of a sweep: where in the plane of its two most influential parameters it is good."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -146,8 +146,8 @@ def heat_map(
         bar.outline.set_visible(False)
         if bar.ax.get_yscale() == "log":
             plain_ticks(bar.ax.yaxis)
-        for bins_, name, which in ((across, x, axes.xaxis), (up, y, axes.yaxis)):
-            _dress(which, bins_, name)
+        _dress(axes, "x", across, x)
+        _dress(axes, "y", up, y)
         if random or len(swept) > 2:
             axes.set_title("best of each cell over everything else swept", loc="left", fontsize=9.0, color=BASELINE)
         marks = _mark(axes, result, across, up, max_M_s)
@@ -181,11 +181,12 @@ def _hatch(axes: Any, x: np.ndarray, y: np.ndarray, cells: np.ndarray) -> None:
         axes.add_patch(Rectangle((x[i], y[j]), *size, fill=False, hatch="///", edgecolor=(1, 1, 1, 0.35), lw=0.0))
 
 
-def _dress(which: Any, bins: _Bins, name: str) -> None:
+def _dress(axes: Any, letter: Literal["x", "y"], bins: _Bins, name: str) -> None:
     """Label, scale and ticks of one axis of the heat map."""
+    which = getattr(axes, f"{letter}axis")
     which.set_label_text(PARAMETERS[name].label)
     if bins.log:
-        which._set_axes_scale("log")
+        axes.set(**{f"{letter}scale": "log"})
     if bins.ticks is not None:
         every = -(-len(bins.ticks) // 16)
         which.set_ticks(np.arange(len(bins.ticks))[::every], bins.ticks[::every])

@@ -94,6 +94,7 @@ def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], 
             write_atomic(path, seal(header, arrays))
     shapes = header["leaves"]
     # JAX's own file format asks for one more package; all of an exported program but the module follows from its types.
+    # Should a JAX no longer take a module so, test_second_process_traces_nothing_and_finds_the_same_bits fails.
     like = export.export(jax.jit(lambda *_: [jnp.zeros(*leaf) for leaf in shapes], keep_unused=True))(*leaves)
     return Kept(replace(like, mlir_module_serialized=arrays["module"].tobytes()).call, header["result"])
 
