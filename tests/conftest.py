@@ -15,6 +15,14 @@ if find_spec("jax"):
     # As the command line does: one device compiles to other last bits than several.
     jax.config.update("jax_num_cpu_devices", 2)
 
+if find_spec("jaxtyping") and find_spec("beartype"):
+    from jaxtyping import install_import_hook
+
+    from tests.shapes import with_shapes
+
+    # Before anything of the product is imported. Pytest's option for it would take packages, and all that is in them.
+    install_import_hook(with_shapes(), "tests.shapes.checked")
+
 if find_spec("hypothesis"):
     import hypothesis
 

@@ -4,14 +4,10 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-PACKAGES = ("jaxmpc", "tuning", "sweeps", "deploy")
-SOURCES = sorted(path.relative_to(ROOT).as_posix() for name in PACKAGES for path in ROOT.glob(f"{name}/**/*.py"))
+from tests.sources import ROOT, SOURCES, Import, imports, module_of, within
 
 # Modules of jaxmpc that the robot loads too.
 ON_ROBOT = (
@@ -35,33 +31,6 @@ TWIN_MAY_IMPORT = ("mujoco", "jaxmpc.world.heart.harmonics", "jaxmpc.world.heart
 STRAIGHTLINE = "deploy/runtime/straightline.py"
 UNSAFE_MODULES = ("marshal", "pickle", "shelve", "yaml")
 JAX = {"equinox", "jax", "jaxlib", "jaxtyping", "optax"}
-
-
-class Import(NamedTuple):
-    line: int
-    name: str
-    """Dotted; for `from a import b` it is a.b, be that a module or not."""
-    deferred: bool
-    """Inside a function: it happens only when that runs."""
-
-
-def imports(tree: ast.AST, deferred: bool = False) -> Iterator[Import]:
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.Import):
-            yield from (Import(node.lineno, alias.name, deferred) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            parent = "." * node.level + (node.module or "")
-            yield from (Import(node.lineno, f"{parent}.{alias.name}", deferred) for alias in node.names)
-        else:
-            yield from imports(node, deferred or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda))
-
-
-def within(name: str, modules: tuple[str, ...]) -> bool:
-    return any(name == module or name.startswith(f"{module}.") for module in modules)
-
-
-def module_of(path: str) -> str:
-    return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
 def refusal(path: str, found: Import) -> str | None:

@@ -1,5 +1,6 @@
 """Every number that the paper prints, or that follows from its equations, to the digits printed."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -103,7 +104,7 @@ def test_as_it_runs_strong_damping_costs_most() -> None:
 def test_bandwidth_of_the_wanted_loop_is_34_hertz() -> None:
     from jaxmpc.synthesis.plant import closed_loop_model
 
-    A, B = closed_loop_model(np.float64(3e-3), 1e-3)
+    A, B = closed_loop_model(jnp.float64(3e-3), 1e-3)
     hertz = np.linspace(30.0, 40.0, 10001)
     z = np.exp(2j * np.pi * hertz * 1e-3)
     response = np.array([np.linalg.solve(x * np.eye(2) - A, B)[0] for x in z])

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.experiment import AXES
@@ -80,7 +81,7 @@ def margin_goals(margins: Margins, limits: Mapping[str, Any], headroom: float = 
 
 def run_goals(
     metrics: Metrics, reference: Metrics, overshoot: Any, limits: Mapping[str, Any]
-) -> dict[str, Float[Array, "... stiffness scenarios axes"]]:
+) -> dict[str, Float[Array | np.ndarray, "... stiffness scenarios axes"]]:
     """Goals on what the runs measured, normalised; traceable, differentiable.
 
     Args:
