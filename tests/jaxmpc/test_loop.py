@@ -11,6 +11,7 @@ from jaxmpc import Experiment, Params, design
 from jaxmpc.engine.base import scalars
 from jaxmpc.engine.forward_dynamics import implicit
 from jaxmpc.engine.scenario import program_spec, scenario_data
+from jaxmpc.experiment.tables import Change
 from jaxmpc.loop.arm import ArmLoop, ArmSample, ArmSignals, Cell, advance, noticed, start, untroubled
 from jaxmpc.world import robot
 from jaxmpc.world.arm import chain
@@ -30,6 +31,65 @@ def loop_of(experiment: Experiment) -> tuple[ArmLoop, Cell]:
     gains = jax.tree.map(float, scalars(design(Params()), False))
     on_tissue = data.robot._replace(tissue=data.robot.tissue._replace(stiffness=experiment.stiffness[0]))
     return ArmLoop(chain(), spec.robot, robot.accelerate), Cell(gains, 10.0, on_tissue)
+
+
+BEGIN = 2000
+
+
+def forces(experiment: Experiment, samples: int = 40) -> np.ndarray:
+    """Measured forces of some samples from `BEGIN` on, where the heart moves; the tip touches it there first."""
+    (loop, cell), signals = loop_of(experiment), scenario_data(experiment).signals
+    heart, between, noise, wanted, score, softening, watch, time = (np.asarray(field)[0] for field in signals)
+    carry, found = start(loop, cell, np), []
+    rest = np.stack([heart[BEGIN, 0], np.zeros(3)])
+    heart, between = heart - rest, between - rest
+    for k in range(BEGIN, BEGIN + samples):
+        met, asked = HeartSample(*map(tuple, heart[k])), [HeartSample(*map(tuple, each)) for each in between[k]]
+        now = ArmSignals(met, asked, noise[k], wanted[k], score[k], softening[k], watch[k], time[k])
+        carry, sample = advance(loop, cell, carry, now, np)
+        found.append(sample.force)
+    return np.array(found)
+
+
+MOVING = changed(TABLE, duration=2.1, settle=0.0, tissue={"kind": "kelvin-voigt"}, reference={"z": -1.0})
+LOW = (0.5, 0.5, 0.5, 0.5)
+
+
+@pytest.fixture(scope="module")
+def unchanged() -> np.ndarray:
+    return forces(MOVING)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"arm": {"coulomb": (1.6, 0.53, 0.35, 0.63)}},
+        {"arm": {"viscous": (1.6, 2.4, 0.86, 0.62)}},
+        {"arm": {"mass_error": 0.1}},
+        {"arm": {"tool_mass_error": 0.1}},
+        {"arm": {"encoder_counts": 0}},
+        {"arm": {"torque_lsb": 0.0}},
+        {"arm": {"torque_limit": LOW}},
+        {"arm": {"posture": (0.1, 0.8, 0.2, 2.0)}},
+        {"arm": {"presliding": 1e-4}},
+        {"delay": 2},
+        {"stiffness": (300.0,)},
+        {"velocity_lowpass": 300.0},
+        {"tissue": {"viscosity": 1.0}},
+        {"tissue": {"changes": (Change(2.0, 2.0, 0.05),)}},
+        {"sensor": {"lowpass_hz": 250.0}},
+        {"sensor": {"lsb": (0.0, 0.0, 0.0)}},
+        {"sensor": {"noise": (0.0, 0.0, 0.0)}},
+        {"motion": {"seed": 3, "phases": "random"}},
+        {"motion": {"scale": 0.5}},
+    ],
+    ids=str,
+)
+def test_every_number_is_felt(unchanged: np.ndarray, change: dict[str, Any]) -> None:
+    """Each alone, so that none hides behind another."""
+    found = forces(changed(MOVING, **change))
+    assert np.isfinite(found).all()
+    assert np.abs(found - unchanged).max() > 1e-6
 
 
 def test_a_tissue_that_softens_pushes_less() -> None:
