@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxmpc.terminal.process import use_all_cores
 from tuning import TuneSpec
-from tuning.objective.loss import look
+from tuning.objective.loss import loss_of
 from tuning.objective.problem import Problem, problem_of, training
 
 STARTS, RUNS = 16, 3
@@ -65,7 +65,7 @@ def forward(problem: Problem, z: np.ndarray) -> Callable[[], Any]:
     limits = jax.tree.map(lambda limit: jnp.broadcast_to(limit, (len(z),)), problem.data.margins)
 
     def on_device(rows: Any, data: Any) -> Any:
-        return look(rows[0], data._replace(margins=rows[1]), 1.0, problem.kind)[0]
+        return loss_of(rows[0], data._replace(margins=rows[1]), 1.0, problem.kind)[0]
 
     specs = (spec("device"), spec())
     mapped = jax.shard_map(on_device, mesh=mesh, in_specs=specs, out_specs=spec("device"), check_vma=False)
@@ -83,7 +83,7 @@ def main() -> None:
         z = np.tile(spec.space.encode(spec.params), (STARTS, 1))
         if not diagonals:
             times["simulation"] = seconds(forward(problem, z))
-        times[name] = seconds(partial(problem.look, z, 1.0))
+        times[name] = seconds(partial(problem.differentiate, z, 1.0))
         print(f"{name}: {spec.space.size} parameters")
     for name, value in times.items():
         print(f"{name:<12} {value:8.3f} s   {value / times['simulation']:5.2f} x one simulation")

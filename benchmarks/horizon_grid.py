@@ -44,7 +44,7 @@ def polished(problem: Problem, z: np.ndarray, still: np.ndarray, steps: int) -> 
     begin, update = optimiser()
     memory, best = begin(z), np.full(len(z), np.inf)
     for i in range(steps):
-        values = problem.look(z, 1.0)
+        values = problem.differentiate(z, 1.0)
         held = values.hard.max(axis=1) <= FEASIBLE
         best = np.where(held, np.fmin(best, values.score), best)
         gradient = np.where(still, 0.0, values.gradient)

@@ -67,13 +67,17 @@ def prepared(spec: TuneSpec, key: str, path: Path) -> Costs:
             raise InputError("-o", path.parent, "a new folder, or one of this very job", "Choose another or remove it.")
         return known
     steps = len(spec.tune.train_seeds) * len(spec.experiment.stiffness) * problem.data.scene.signals.score.shape[1]
-    found, expected = small(few).loss, problem.look(few, 1.0).loss
+    found, expected = small(few).loss, problem.differentiate(few, 1.0).loss
     difference = float(np.max(np.abs(found / expected - 1.0)))
     if not difference < SAME:
         raise SystemExit(f"evaluations give another loss than the tuner's looks: {found} instead of {expected}")
     # In turns, and the least of each: on a shared machine the rest only measures the neighbours.
     times = [
-        [_seconds(lambda: small(few)), _seconds(lambda: problem.look(few, 1.0)), _seconds(lambda: evaluate(many))]
+        [
+            _seconds(lambda: small(few)),
+            _seconds(lambda: problem.differentiate(few, 1.0)),
+            _seconds(lambda: evaluate(many)),
+        ]
         for _ in range(REPEATS)
     ]
     once, look, batch = np.min(times, axis=0).tolist()

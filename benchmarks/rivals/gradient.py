@@ -64,7 +64,7 @@ def tuned(spec: TuneSpec, cost_ratio: float, rate: float, steps: int) -> Run:
 
     evaluate = Problem.evaluate
     with (
-        mock.patch.object(Problem, "look", timed(Problem.look, cost_ratio)),
+        mock.patch.object(Problem, "differentiate", timed(Problem.differentiate, cost_ratio)),
         mock.patch.object(Problem, "evaluate", timed(evaluated, 1.0)),
     ):
         run_levels(spec)

@@ -17,7 +17,7 @@ from jaxtyping import Array
 from benchmarks.rivals import pi
 from tuning.job.space import SearchSpace
 from tuning.objective.designed import Data, Designed, ProblemStructure, designed, worlds_of
-from tuning.objective.loss import judge
+from tuning.objective.loss import evaluate_goals
 from tuning.objective.problem import Problem
 
 BATCH = 16
@@ -91,6 +91,6 @@ def pi_control(z: Array, data: Data, kind: ProblemStructure) -> Designed:
 
 def judged(controllers: Designed, data: Data, kind: ProblemStructure) -> Seen:
     """Loss of designed controllers, as the tuner has it; traceable."""
-    found = judge(controllers, data, kind)
+    found = evaluate_goals(controllers, data, kind)
     worst = jnp.max(jnp.stack([jnp.max(found.margins.normalised, axis=(1, 2), initial=0.0), *found.hard]), axis=0)
     return Seen(found.loss, jnp.where(found.stable, found.risk, jnp.nan), jnp.where(found.stable, worst, jnp.inf))

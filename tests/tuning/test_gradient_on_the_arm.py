@@ -34,14 +34,14 @@ def test_every_parameter_at_twenty_random_feasible_points(small: Job) -> None:
     problem = problem_of(spec, "arm", training(spec, (0, 1)))
     drawn = spec.space.encode(spec.params) + 0.2 * np.random.default_rng(0).standard_normal((2 * ROWS, spec.space.size))
     # Soft horizons, whose slope whole ones do not have.
-    seen = [problem.look(part, 3.0) for part in np.split(drawn, 2)]
+    seen = [problem.differentiate(part, 3.0) for part in np.split(drawn, 2)]
     feasible = np.concatenate([values.hard.max(axis=1) < 1.0 for values in seen])
     gradient = np.concatenate([values.gradient for values in seen])[feasible][:POINTS]
     z = drawn[feasible][:POINTS]
     assert len(z) == POINTS
     steps = np.array([-2.0, -1.0, 1.0, 2.0])[:, None, None] * STEP * np.eye(spec.space.size)
     around = (z[:, None, None] + steps).reshape(-1, spec.space.size)
-    losses = np.concatenate([problem.look(part, 3.0).loss for part in np.split(around, len(around) // ROWS)])
+    losses = np.concatenate([problem.differentiate(part, 3.0).loss for part in np.split(around, len(around) // ROWS)])
     weights = np.array([1.0, -8.0, 8.0, -1.0]) / (12.0 * STEP)
     expected = np.einsum("psk,s->pk", losses.reshape(POINTS, 4, -1), weights)
     worst = np.abs(gradient - expected).max(axis=1) / np.abs(expected).max(axis=1)

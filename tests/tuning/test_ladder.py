@@ -10,7 +10,7 @@ from jaxmpc import Params
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec, pareto
 from tuning.objective.problem import problem_of, training
-from tuning.proof.result import judge
+from tuning.proof.result import assess
 from tuning.search.front import handed_on, table
 from tuning.search.multifidelity import SAME, proposed, run_levels
 from tuning.search.state import SearchState
@@ -31,9 +31,9 @@ def on_the_arm(small: Job) -> Callable[..., TuneSpec]:
 
 
 def state_of(best: list[float], z: np.ndarray, hard: np.ndarray) -> SearchState:
-    """A state after one look at which each start stood where it is."""
+    """A state after one iteration at which each start stood where it is."""
     state = SearchState.new(z, (), 1, (hard.shape[1], 1))
-    state.best, state.best_z, state.path[0], state.hard[0], state.look = np.array(best), z, z, hard, 1
+    state.best, state.best_z, state.path[0], state.hard[0], state.iteration = np.array(best), z, z, hard, 1
     return state
 
 
@@ -68,7 +68,7 @@ def test_orders_ask_for_a_q_p_of_their_own(spec: TuneSpec) -> None:
 @pytest.mark.slow
 def test_up_the_whole_ladder_and_against_the_worst(on_the_arm: Callable[..., TuneSpec]) -> None:
     spec = on_the_arm(tune={"rounds": 1, "searched": 6, "orders": [1, 2]})
-    with_float64 = in_float64(lambda: judge(run_levels(spec)))
+    with_float64 = in_float64(lambda: assess(run_levels(spec)))
     result = with_float64()
     assert [step.name for step in result.steps][:4] == ["frequency", "linear", "mapping", "arm"]
     assert [step.level for step in result.steps][:4] == ["frequency", "linear", "arm", "arm"]
@@ -88,7 +88,7 @@ def test_levels_agree_on_the_residual(on_the_arm: Callable[..., TuneSpec]) -> No
     spec = on_the_arm(params={"K2": 40.0, "T_cl": 2e-4, "Khat_s": 800.0, "Q_p": 1.5}, goals={"soft": {"rms": 0.05}})
     met = training(spec, (0,))
     z = np.tile(spec.space.encode(spec.params), (2, 1))
-    rms = [problem_of(spec, level, met).look(z, 1.0).cells.rms[0] for level in spec.ladder]
+    rms = [problem_of(spec, level, met).differentiate(z, 1.0).cells.rms[0] for level in spec.ladder]
     np.testing.assert_allclose(rms[0], rms[2], rtol=0.15)
     np.testing.assert_allclose(rms[1], rms[2], rtol=0.15)
 

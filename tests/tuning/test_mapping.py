@@ -14,7 +14,7 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.objective.designed import Data
-from tuning.objective.loss import HEADROOM, Values, look
+from tuning.objective.loss import HEADROOM, Values, loss_of
 from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.corrected import REACH, minimised, values_and_slopes
 from tuning.search.mapping import Measured, correction, parents, refine, spectra_of
@@ -68,7 +68,7 @@ def test_corrected_spectra_say_at_a_point_what_was_measured_there(case: Case) ->
     assert np.abs(case.factors.peak_to_peak - 1.0).min() > 1.0
     for i in range(len(case.z)):
         one: Any = jax.tree.map(lambda field, i=i: np.repeat(field[i : i + 1], 4, axis=0), case.factors)
-        said = jax.jit(look, static_argnames="kind")(case.z, limited(case, 4, one), 1.0, kind=case.spectra.kind)
+        said = jax.jit(loss_of, static_argnames="kind")(case.z, limited(case, 4, one), 1.0, kind=case.spectra.kind)
         loss, (_, _, _, _, hard, soft, _) = said
         for found, expected in ((loss, case.measured.loss), (hard, case.measured.hard), (soft, case.measured.soft)):
             np.testing.assert_allclose(found[i], expected[i], rtol=1e-12)
@@ -88,10 +88,10 @@ def first_of(factors: Metrics) -> Metrics:
 @pytest.mark.slow
 @in_float64
 def test_an_evaluation_is_a_look_without_its_gradient(case: Case) -> None:
-    looked = case.measuring.look(case.z, 1.0)
+    again = case.measuring.differentiate(case.z, 1.0)
     assert np.isnan(case.measured.gradient).all()
     for name in ("loss", "score", "M_s", "hard", "soft"):
-        np.testing.assert_allclose(getattr(case.measured, name), getattr(looked, name), rtol=1e-12, err_msg=name)
+        np.testing.assert_allclose(getattr(case.measured, name), getattr(again, name), rtol=1e-12, err_msg=name)
 
 
 @pytest.mark.oracle
@@ -171,13 +171,13 @@ def test_it_improves_and_a_killed_one_continues_to_the_same_bits(
 ) -> None:
     job = case.spec, case.measuring, case.met, case.z
     whole = refine(*job)
-    assert (np.diff(whole.incumbent[: whole.look]) <= 0.0).all()
+    assert (np.diff(whole.incumbent[: whole.iteration]) <= 0.0).all()
     assert whole.feasible
     assert np.log(whole.best.min()) < case.measured.loss.min() - 0.1
     record = SearchState.record
 
     def killed(self: SearchState, *args: Any, **kwargs: Any) -> None:
-        if self.look == 2:
+        if self.iteration == 2:
             raise KeyboardInterrupt
         record(self, *args, **kwargs)
 

@@ -15,7 +15,7 @@ from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.job.goals import margin_goals
 from tuning.objective.designed import measure
-from tuning.objective.loss import HEADROOM, PENALTY, Values, look, seen, seen_soft
+from tuning.objective.loss import HEADROOM, PENALTY, Values, loss_of, visible_goals, visible_soft
 from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.optimise import optimiser
 
@@ -51,7 +51,7 @@ def in_eights(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) ->
 @pytest.mark.parametrize("K2", [10.0, 60.0])
 def test_reverse_gradient_is_the_central_difference_for_every_parameter(small: Job, K2: float) -> None:
     spec = TuneSpec.from_dict(small(experiment=QUIET, params={"K2": K2, "Q_x": 1e-3}))
-    see, space = problem(spec).look, spec.space
+    see, space = problem(spec).differentiate, spec.space
     # Off the kinks of the soft mask, which whole horizons can stand on.
     z = space.encode(spec.params) + 0.07
     losses = in_eights(lambda rows: see(rows, 3.0).loss, around(z, np.eye(space.size)))
@@ -75,7 +75,7 @@ def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
     data, kind = problem(spec)
     data = data._replace(margins={name: jnp.broadcast_to(limit, (4,)) for name, limit in data.margins.items()})
     direction = np.random.default_rng(0).standard_normal(spec.space.size)
-    forward = jax.jit(lambda z: jax.jvp(lambda z: look(z, data, 3.0, kind)[0], (z,), (jnp.tile(direction, (4, 1)),)))
+    forward = jax.jit(lambda z: jax.jvp(lambda z: loss_of(z, data, 3.0, kind)[0], (z,), (jnp.tile(direction, (4, 1)),)))
     z = spec.space.encode(spec.params) + 0.07
     expected = central(np.asarray(forward(jnp.asarray(around(z, direction[None])))[0]))
     found = forward(jnp.tile(z, (4, 1)))[1]
@@ -87,7 +87,7 @@ def test_full_diagonals_have_a_gradient_per_entry(small: Job) -> None:
     free = {"lam": True, "delta": True, "Khat_s": True}
     tune = {"free": free, "diagonals": ["lam", "delta"], "duration": 0.4, "settle": 0.1}
     spec = TuneSpec.from_dict(small(experiment={**QUIET, "stiffness": [810.0]}, tune=tune))
-    see, space = problem(spec).look, spec.space
+    see, space = problem(spec).differentiate, spec.space
     z = space.encode(spec.params)
     chosen = [0, 1, 4, 16, 20, 30, 40, 80]
     losses = in_eights(lambda rows: see(rows, 1.0).loss, around(z, np.eye(space.size)[chosen]))
@@ -108,16 +108,16 @@ def test_a_level_without_time_sees_all_but_peaks_and_has_stand_ins_for_them() ->
     def level(spectra: Any, **soft: float) -> Any:
         return SimpleNamespace(spectra=spectra, correction=None, soft=soft)
 
-    assert seen(HARD, level(None)) == tuple(HARD)
-    assert seen(HARD, level("some")) == ("chatter", "effort_x")
-    assert seen_soft(level(None, **SOFT)) == SOFT
-    assert seen_soft(level("some", **SOFT)) == {
+    assert visible_goals(HARD, level(None)) == tuple(HARD)
+    assert visible_goals(HARD, level("some")) == ("chatter", "effort_x")
+    assert visible_soft(level(None, **SOFT)) == SOFT
+    assert visible_soft(level("some", **SOFT)) == {
         "chatter": 0.6,
         "effort_z": 2.0,
         "rms": 0.35 / CREST,
     }
-    assert seen_soft(level("some", peak_to_peak_ratio=0.7)) == {"rms_ratio": 0.7}
-    assert seen_soft(level("some", peak_to_peak_ratio=0.7, rms_x=0.1)) == {"rms_x": 0.1}, "a residual leads already"
+    assert visible_soft(level("some", peak_to_peak_ratio=0.7)) == {"rms_ratio": 0.7}
+    assert visible_soft(level("some", peak_to_peak_ratio=0.7, rms_x=0.1)) == {"rms_x": 0.1}, "a residual leads already"
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_effort_and_chatter_are_goals_from_spectra_as_in_time(small: Job) -> Non
     assert problem.soft_goals == ("chatter", "effort_z", "rms")
     # Off the kinks of the soft mask, which whole horizons can stand on.
     z = space.encode(spec.params) + 0.07
-    found = problem.look(np.tile(z, (8, 1)), 3.0)
+    found = problem.differentiate(np.tile(z, (8, 1)), 3.0)
     chatter, effort, rms = (
         np.asarray(field[0]) for field in (found.cells.chatter, found.cells.effort, found.cells.rms)
     )
@@ -140,7 +140,7 @@ def test_effort_and_chatter_are_goals_from_spectra_as_in_time(small: Job) -> Non
     np.testing.assert_allclose(found.soft[0], expected)
     missed = sum(1.0 - 1.0 / value + HEADROOM for value in found.hard[0, 1:])
     assert float(found.loss[0]) == pytest.approx(float(np.log(found.score[0])) + PENALTY * missed)
-    losses = in_eights(lambda rows: problem.look(rows, 3.0).loss, around(z, np.eye(space.size)))
+    losses = in_eights(lambda rows: problem.differentiate(rows, 3.0).loss, around(z, np.eye(space.size)))
     slope = central(losses.reshape(space.size, 4))
     np.testing.assert_allclose(found.gradient[0], slope, atol=1e-6 * np.abs(slope).max(), rtol=0)
 
@@ -164,7 +164,7 @@ def test_levels_agree_on_effort_and_chatter(small: Job) -> None:
 def test_a_start_that_stands_still_has_a_slope(small: Job) -> None:
     """Unstable, it stands still, so that its effort is 0."""
     spec = TuneSpec.from_dict(small(params={"Khat_s": 200.0}, goals={"effort": 3.0}))
-    values = problem(spec).look(np.tile(spec.space.encode(spec.params), (8, 1)), 1.0)
+    values = problem(spec).differentiate(np.tile(spec.space.encode(spec.params), (8, 1)), 1.0)
     assert np.isposinf(values.M_s[0, -1])
     assert np.isfinite(values.gradient).all()
 
@@ -172,7 +172,7 @@ def test_a_start_that_stands_still_has_a_slope(small: Job) -> None:
 @pytest.mark.slow
 def test_an_unstable_start_is_led_to_stability(small: Job) -> None:
     spec = TuneSpec.from_dict(small(params={"Khat_s": 200.0}))
-    see = problem(spec).look
+    see = problem(spec).differentiate
     begin, update = optimiser()
     z = np.tile(spec.space.encode(spec.params), (8, 1))
     memory = begin(jnp.asarray(z))
@@ -194,7 +194,7 @@ def test_goals_keep_their_names_through_the_compiled_program(small: Job) -> None
     """In whatever order a job writes them: columns of the histories are labelled by `margin_goals`."""
     goals = {"phase_margin_deg": 20.0, "M_s": 3.0, "gain_margin_db": 5.0, "delay_margin_s": 1e-3, "ideal": False}
     spec = TuneSpec.from_dict(small(goals=goals, tune={"duration": 0.4, "settle": 0.1}, experiment=QUIET))
-    seen = problem(spec).look(np.tile(spec.space.encode(spec.params), (2, 1)), 1.0).hard[0]
+    seen = problem(spec).differentiate(np.tile(spec.space.encode(spec.params), (2, 1)), 1.0).hard[0]
     found = margins(spec.params, spec.judged_at)
     expected = np.asarray(margin_goals(found, spec.margin_goals).normalised).max(axis=1)
     np.testing.assert_allclose(seen, expected, rtol=0.02)

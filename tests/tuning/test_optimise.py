@@ -57,7 +57,7 @@ def test_a_feasible_start_is_improved(small: Job) -> None:
     state = descend(TuneSpec.from_dict(small(goals={"M_s": 6.0})))
     assert np.isfinite(state.incumbent[0])
     assert state.best.min() < 0.9 * state.score[0, 0]
-    assert (np.diff(state.incumbent[: state.look]) <= 0.0).all()
+    assert (np.diff(state.incumbent[: state.iteration]) <= 0.0).all()
 
 
 def same(one: SearchState, other: SearchState) -> None:
@@ -75,7 +75,7 @@ def test_a_killed_run_continues_to_the_same_bits(
     record = SearchState.record
 
     def killed(self: SearchState, *args: Any, **kwargs: Any) -> None:
-        if self.look == stop:
+        if self.iteration == stop:
             raise KeyboardInterrupt
         record(self, *args, **kwargs)
 
@@ -83,16 +83,16 @@ def test_a_killed_run_continues_to_the_same_bits(
         patch.setattr(SearchState, "record", killed)
         with pytest.raises(KeyboardInterrupt):
             descend(spec, tmp_path)
-    looks = 0
+    iterations = 0
 
     def counted(self: SearchState, *args: Any, **kwargs: Any) -> None:
-        nonlocal looks
-        looks += 1
+        nonlocal iterations
+        iterations += 1
         record(self, *args, **kwargs)
 
     monkeypatch.setattr(SearchState, "record", counted)
     same(descend(spec, tmp_path), whole)
-    assert looks == whole.look - stop
+    assert iterations == whole.iteration - stop
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from tuning.proof.reached import Row, rows, verdict
 from tuning.proof.sensitivities import Sensitivities
 from tuning.proof.split import Split
 from tuning.reports.explained import Study, limits_text
-from tuning.reports.figures import best_of_each_look
+from tuning.reports.figures import best_of_each_iteration
 from tuning.reports.files import write
 from tuning.reports.html import picture, tag
 from tuning.reports.page import html_report
@@ -89,9 +89,9 @@ def result(small: Job) -> TuneResult:
     one = np.ones((2, judged))
     found = Margins(M_s, 6.0 * one, 7.0 * one, 40.0 * one, 2e-3 * one, 0.9 * one, 0.0 * one)
     state = SearchState.new(spec.space.draw(2, 0), None, 3, (2, 2))
-    for look in range(3):
-        state.record(_values(0.9 - 0.1 * look, judged), exact=True, worth=0.0)
-        state.look += 1
+    for iteration in range(3):
+        state.record(_values(0.9 - 0.1 * iteration, judged), exact=True, worth=0.0)
+        state.iteration += 1
     problem: Any = SimpleNamespace(hard_goals=())
     steps = [Step("linear", "linear", problem, state)]
     margins = {"as run": found, "ideal": found}
@@ -143,11 +143,11 @@ def test_a_goal_that_held_in_training_alone_is_told(result: TuneResult, monkeypa
 
 def test_the_best_of_a_look_holds_its_goals_if_any_does() -> None:
     state = SearchState.new(np.zeros((3, 2)), (), 4, (2, 1))
-    state.look = 3
+    state.iteration = 3
     state.score[:3] = [[0.5, 2.0, 3.0], [0.9, np.nan, 0.8], [np.nan, np.nan, 1.0]]
     state.hard[:3] = 1.0
     state.hard[0, 0, 1], state.hard[2] = 1.1, 2.0
-    np.testing.assert_array_equal(best_of_each_look(state), [1, 2, 2])
+    np.testing.assert_array_equal(best_of_each_iteration(state), [1, 2, 2])
 
 
 def test_goals_are_those_of_the_scenarios_that_were_held(result: TuneResult) -> None:

@@ -1,4 +1,4 @@
-"""Gradients of single goals out of whole looks, against closed forms; on real jobs against central differences."""
+"""Gradients of single goals out of whole losses, against closed forms; on real jobs against central differences."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,10 +19,10 @@ from tuning import TuneSpec
 from tuning.objective.loss import HEADROOM, PENALTY, value_and_gradient
 from tuning.objective.problem import Problem, _dealt
 from tuning.proof.agreement import agreement, spearman
-from tuning.proof.gradients import SCORE, judged_on, looked, on_tissue, slopes
+from tuning.proof.gradients import SCORE, judged_on, on_tissue, slopes, values_at
 from tuning.proof.limits import limits, multipliers_of
 from tuning.proof.loops import curves
-from tuning.proof.result import judge
+from tuning.proof.result import assess
 from tuning.proof.sensitivities import log_slopes, sensitivities, vector_of
 from tuning.proof.split import split
 from tuning.reports.files import write
@@ -55,9 +55,9 @@ class Data(NamedTuple):
 
 
 class Analytic(Problem):
-    """A look composed as the real one, of goals whose gradients are known: log goal = exponents · z · (K_s/1000)."""
+    """A loss composed as the real one, of goals whose gradients are known: log goal = exponents · z · (K_s/1000)."""
 
-    def look(self, z: np.ndarray, width: float) -> Any:
+    def differentiate(self, z: np.ndarray, width: float) -> Any:
         data, K = self.data, np.asarray(self.data.judged_at) / 1e3
         limits = {**data.margins, **data.hard}
         M_s, gain, rms = (np.broadcast_to(limits[name], len(z))[:, None] for name in ("M_s", "gain_margin_db", "rms"))
@@ -86,7 +86,7 @@ def analytic() -> Analytic:
     data: Any = Data(
         Scene(jnp.asarray(TISSUES)), margins, {"rms": jnp.asarray(0.1)}, {}, None, jnp.asarray(TISSUES), reference
     )
-    return Analytic(data, None)  # type: ignore[arg-type]  # its look runs no program
+    return Analytic(data, None)  # type: ignore[arg-type]  # it runs no program
 
 
 @pytest.mark.parametrize("starts", [2, 8])
@@ -163,7 +163,7 @@ def test_a_real_job_against_central_differences_without_another_program(small: J
     free = {"lam": True, "Q_p": True, "K2": True, "Khat_s": True, "Hp": True}
     tune = {"starts": 4, "steps": 4, "free": free}
     goals = {"ideal": False, "M_s": 3.0, "overshoot": 8.0}
-    result = judge(run_levels(TuneSpec.from_dict(small(experiment=QUIET, tune=tune, goals=goals))))
+    result = assess(run_levels(TuneSpec.from_dict(small(experiment=QUIET, tune=tune, goals=goals))))
     step, spec, z = result.steps[-1], result.spec, vector_of(result)
     np.testing.assert_array_equal(spec.space.exact(z).Khat_s, result.params.Khat_s)
     programs = compiled(step.problem)
@@ -175,15 +175,15 @@ def test_a_real_job_against_central_differences_without_another_program(small: J
         for i, name in enumerate(("lam", "Q_p", "K2", "Khat_s")):
             moved = [z + sign * STEP * np.eye(len(z))[i] for sign in (1.0, -1.0)]
             values = np.log(spec.space.values(np.stack(moved))[:, i])
-            seen = looked(alone, np.stack(moved), 4)
+            seen = values_at(alone, np.stack(moved), 4)
             for metric, reached in ((0, seen.score), (1, seen.hard[:, 0])):
                 expected = np.log(reached[0] / reached[1]) / (values[0] - values[1])
                 slope = found.slopes[metric, i, tissue]
                 assert slope == pytest.approx(expected, rel=1e-4, abs=1e-7), (name, tissue, metric)
     assert all(goal.normalised > 0.97 for goal in held.active)
-    # The step is that of the look; the peak lies between points of the curve, 2 % apart.
+    # The step is that of the job; the peak lies between points of the curve, 2 % apart.
     pair = [curves(params, spec.experiment, spec.ideal) for params in (spec.before, result.params)]
-    overshoot = looked(step.problem, z[None], 4).hard[0, 1] * 8.0
+    overshoot = values_at(step.problem, z[None], 4).hard[0, 1] * 8.0
     assert pair[1].overshoot.max() == pytest.approx(overshoot, rel=1e-9)
     np.testing.assert_allclose(
         pair[1].sensitivity.max(axis=1),
@@ -201,7 +201,7 @@ def test_a_ladder_with_another_structure_before_and_a_goal_that_nobody_meets(sma
     tune = {"starts": 2, "steps": 2, "levels": ["frequency", "linear"], "free": {"lam": True, "Khat_s": True}}
     tables = {"baseline": {"disturbance_order": 2, "Q_p": 1e-3}, "goals": {"M_s": 1.01, "rms": 0.02}}
     job = small(tune={**tune, "diagonals": ["lam"]}, **tables)
-    result = judge(run_levels(TuneSpec.from_dict(job)))
+    result = assess(run_levels(TuneSpec.from_dict(job)))
     write(result, tmp_path)
     assert "Agreement of the levels" in (tmp_path / "report.html").read_text()
     assert not (tmp_path / "params.toml").exists()

@@ -20,7 +20,7 @@ HEADROOM = 0.002
 
 
 class Values(NamedTuple):
-    """What one look at all starts gives, each (starts, …)."""
+    """What one evaluation of all starts gives, each (starts, …)."""
 
     loss: Any
     gradient: Any
@@ -40,8 +40,8 @@ class Values(NamedTuple):
     """(starts, stiffness, scenarios, 3)"""
 
 
-class Judged(NamedTuple):
-    """All starts judged by their goals, each (starts, …)."""
+class GoalEvaluation(NamedTuple):
+    """All starts held against their goals, each (starts, …)."""
 
     controllers: Designed
     stable: Any
@@ -73,13 +73,13 @@ class Judged(NamedTuple):
         return self.log_risk + PENALTY * (self.margins.violation + jnp.where(self.stable, missed, 0.0))
 
 
-def judged(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> Judged:
+def evaluate_vectors(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> GoalEvaluation:
     """Design, run and judge every start; traceable. Starts are innermost in the time loop, so they cost little."""
     space = SearchSpace(data.base, kind.axes)
-    return judge(jax.vmap(lambda vector: designed(space.decode(vector, width), data, width))(z), data, kind)
+    return evaluate_goals(jax.vmap(lambda vector: designed(space.decode(vector, width), data, width))(z), data, kind)
 
 
-def judge(controllers: Designed, data: Data, kind: ProblemStructure) -> Judged:
+def evaluate_goals(controllers: Designed, data: Data, kind: ProblemStructure) -> GoalEvaluation:
     """Run and judge designed controllers; traceable."""
     stable = jnp.all(controllers.found.spectral_radius < 1.0, axis=1)
     limits = {name: jnp.broadcast_to(limit, stable.shape) for name, limit in data.margins.items()}
@@ -93,13 +93,14 @@ def judge(controllers: Designed, data: Data, kind: ProblemStructure) -> Judged:
         wide = {name: jnp.reshape(limit, (-1, 1, 1, 1)) for name, limit in limits.items()}
         return run_goals(cells, data.reference, overshoot, wide)
 
-    soft, hard = goals(seen_soft(data)), goals({name: data.hard[name] for name in seen(data.hard, data)})
+    soft, hard = goals(visible_soft(data)), goals({name: data.hard[name] for name in visible_goals(data.hard, data)})
     per_scenario = jnp.concatenate([jnp.moveaxis(goal, 2, 1).reshape(*goal.shape[::2], -1) for goal in _wide(soft)], 2)
     risk = kind.risk.over(soft_worst(per_scenario))
-    return Judged(controllers, stable, margins, cells, soft, risk, [jnp.max(g, axis=(1, 2, 3)) for g in hard.values()])
+    missed = [jnp.max(goal, axis=(1, 2, 3)) for goal in hard.values()]
+    return GoalEvaluation(controllers, stable, margins, cells, soft, risk, missed)
 
 
-def look(
+def loss_of(
     z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure
 ) -> tuple[Float[Array, " starts"], Any]:
     """Loss of every start; traceable.
@@ -107,7 +108,7 @@ def look(
     Returns:
         Loss [-]; and the fields of `Values` after the gradient.
     """
-    found = judged(z, data, width, kind)
+    found = evaluate_vectors(z, data, width, kind)
 
     def where_stable(value: Array) -> Array:
         return _where(found.stable, value, jnp.nan)
@@ -128,17 +129,17 @@ def look(
 
 def constrained(z: Float[Array, "starts size"], data: Data, kind: ProblemStructure) -> Float[Array, "starts values"]:
     """The same as a program with constraints: log risk, then what must be at most 0, whole horizons; traceable."""
-    found = judged(z, data, 1.0, kind)
+    found = evaluate_vectors(z, data, 1.0, kind)
     margins = (1.0 + HEADROOM - found.margins.inverse).reshape(len(z), -1)
     runs = [jnp.where(found.stable, value, 1.0)[:, None] for value in found.shortfall]
     return jnp.concatenate([found.log_risk[:, None], margins, *runs], axis=1)
 
 
 def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> Values:
-    """One look at all starts, in reverse mode; traceable."""
+    """Value and gradient of all starts, in reverse mode; traceable."""
 
     def total(z: Array) -> tuple[Array, Any]:
-        loss, rest = look(z, data, width, kind)
+        loss, rest = loss_of(z, data, width, kind)
         return jnp.sum(loss), (loss, *rest)
 
     (_, (loss, *rest)), gradient = jax.value_and_grad(total, has_aux=True)(z)
@@ -146,20 +147,20 @@ def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, k
 
 
 def value_alone(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> Values:
-    """The same look without the slopes, which are NaN; traceable."""
-    loss, rest = look(z, data, width, kind)
+    """The same without the slopes, which are NaN; traceable."""
+    loss, rest = loss_of(z, data, width, kind)
     return Values(loss, jnp.full_like(z, jnp.nan), *rest)
 
 
-def seen(goals: Mapping[str, Any], data: Data) -> tuple[str, ...]:
+def visible_goals(goals: Mapping[str, Any], data: Data) -> tuple[str, ...]:
     """The goals on the runs that a level can see: without time there are no peaks, only mean squares."""
     blind = data.spectra is not None and data.correction is None
     return tuple(name for name in goals if not (blind and name in RUN_GOALS and not RUN_GOALS[name].metric.spectral))
 
 
-def seen_soft(data: Data) -> dict[str, Any]:
+def visible_soft(data: Data) -> dict[str, Any]:
     """Limits of the soft goals that a level sees; where it would see no residual, the RMS stands in for the others."""
-    found = {name: data.soft[name] for name in seen(data.soft, data)}
+    found = {name: data.soft[name] for name in visible_goals(data.soft, data)}
     if any(name in RUN_GOALS and RUN_GOALS[name].metric.name == "rms" for name in found):
         return found
     for name, limit in data.soft.items():

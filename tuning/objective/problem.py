@@ -22,7 +22,7 @@ from tuning.job.scenarios import scenarios, scene_over
 from tuning.job.settings import Level
 from tuning.job.spec import TuneSpec
 from tuning.objective.designed import Data, ProblemStructure, measure
-from tuning.objective.loss import Values, seen, seen_soft, value_alone, value_and_gradient
+from tuning.objective.loss import Values, value_alone, value_and_gradient, visible_goals, visible_soft
 
 COARSER = 3
 """A level that only proposes judges margins at one in so many stiffnesses."""
@@ -34,7 +34,7 @@ class Problem(NamedTuple):
     data: Data
     kind: ProblemStructure
 
-    def look(self, z: np.ndarray, width: float) -> Values:
+    def differentiate(self, z: np.ndarray, width: float) -> Values:
         """Value and gradient of all starts, dealt out to all local devices.
 
         Args:
@@ -62,12 +62,12 @@ class Problem(NamedTuple):
     @property
     def soft_goals(self) -> tuple[str, ...]:
         """Those that this level can see, and its stand-ins for others."""
-        return tuple(seen_soft(self.data))
+        return tuple(visible_soft(self.data))
 
     @property
     def hard_goals(self) -> tuple[str, ...]:
         """Those on the runs that this level can see."""
-        return seen(self.data.hard, self.data)
+        return visible_goals(self.data.hard, self.data)
 
     def with_limits(self, limits: Mapping[str, np.ndarray]) -> "Problem":
         """The same with hard limits of each start's own, (starts,)."""

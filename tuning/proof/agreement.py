@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxmpc.xla.precision import in_float64
 from tuning.job.settings import Level
-from tuning.proof.gradients import looked
+from tuning.proof.gradients import values_at
 from tuning.proof.result import LOST, TuneResult
 from tuning.search.multifidelity import Step
 
@@ -66,7 +66,7 @@ def agreement(result: TuneResult) -> Agreement | None:
         points.append(best[order])
         origin += [i] * len(order)
     z, kept = np.unique(np.concatenate(points), axis=0, return_index=True)
-    seen = [looked(step.problem, z, len(step.state.z)) for step in last.values()]
+    seen = [values_at(step.problem, z, len(step.state.z)) for step in last.values()]
     worst = np.stack([values.worst for values in seen])
     held = worst < LOST
     score = np.where(held, np.stack([values.score for values in seen]), np.nan)

@@ -1,9 +1,9 @@
 r"""Exact gradients of single goals on single tissues, from the program that the tuner has compiled already.
 
-A look sees log score + `PENALTY` · Σ max(0, 1 − 1/g + headroom) over the hard goals g. Limits and stiffnesses are data:
+The loss is log score + `PENALTY` · Σ max(0, 1 − 1/g + headroom) over the hard goals g. Limits and stiffnesses are data:
 with limits that nothing can miss its gradient is that of the log score; with one limit that nothing can meet
 
-    ∇look − ∇log score = PENALTY · n/g · ∇log g
+    ∇loss − ∇log score = PENALTY · n/g · ∇log g
 
 where n counts the stiffnesses at which a margin is judged, here all the same one, and is 1 for a goal of the runs.
 """
@@ -51,7 +51,7 @@ def slopes(problem: Problem, z: np.ndarray, starts: int, others: np.ndarray | No
     easier = {name: np.full(own + len(others), FACTOR) for name in (*problem.data.margins, *problem.data.hard)}
     for row, name in enumerate(names, 1):
         easier[name][row] = 1.0 / FACTOR
-    seen = looked(problem, np.concatenate([np.tile(z, (own, 1)), others]), starts, easier)
+    seen = values_at(problem, np.concatenate([np.tile(z, (own, 1)), others]), starts, easier)
     found = {SCORE: Slope(float(seen.score[0]), seen.gradient[0], seen.score[own:])}
     for i, name in enumerate(names):
         copies = len(problem.data.judged_at) if name in problem.data.margins else 1
@@ -61,8 +61,8 @@ def slopes(problem: Problem, z: np.ndarray, starts: int, others: np.ndarray | No
     return found
 
 
-def looked(problem: Problem, z: np.ndarray, starts: int, easier: Mapping[str, np.ndarray] | None = None) -> Values:
-    """`Problem.look` at any number of vectors with whole horizons, so many at a time: the same program.
+def values_at(problem: Problem, z: np.ndarray, starts: int, easier: Mapping[str, np.ndarray] | None = None) -> Values:
+    """`Problem.differentiate` at any number of vectors with whole horizons, so many at a time: the same program.
 
     Args:
         problem: The problem.
@@ -74,7 +74,7 @@ def looked(problem: Problem, z: np.ndarray, starts: int, easier: Mapping[str, np
     for first in range(0, len(z), starts):
         rows = np.minimum(np.arange(first, first + starts), len(z) - 1)
         limits: Any = {name: _moved(problem, name, factors[rows]) for name, factors in (easier or {}).items()}
-        parts.append(problem.with_limits(limits).look(z[rows], 1.0))
+        parts.append(problem.with_limits(limits).differentiate(z[rows], 1.0))
     whole: Values = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(z)], *parts)
     return whole
 

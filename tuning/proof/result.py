@@ -26,7 +26,7 @@ LOST = 2.0
 
 @dataclass(frozen=True)
 class TuneResult:
-    """Before and after, and the way there. Index 0 is the controller before, 1 the tuned one."""
+    """Before and after, and the search between. Index 0 is the controller before, 1 the tuned one."""
 
     spec: TuneSpec
     params: Params
@@ -109,9 +109,9 @@ class TuneResult:
         )
 
 
-def judge(way: LevelHistory, show: bool = False) -> TuneResult:
+def assess(history: LevelHistory, show: bool = False) -> TuneResult:
     """Choose among the starts on the validation scenarios, then compare with the controller before on held-out ones."""
-    spec, state = way.spec, way.steps[-1].state
+    spec, state = history.spec, history.steps[-1].state
     chosen = state.leader_z
     if state.feasible and spec.tune.validation_seeds:
         chosen = _validated(spec, state, show)
@@ -123,7 +123,7 @@ def judge(way: LevelHistory, show: bool = False) -> TuneResult:
     for name, ideal in KINDS.items():
         both = [margins(p, spec.judged_at, path=spec.experiment.loop_path(ideal)) for p in (spec.before, params)]
         found[name] = jax.tree.map(lambda *fields: np.stack(fields), *both)
-    return TuneResult(spec, params, state.feasible, runs, found, way.steps, way.orders)
+    return TuneResult(spec, params, state.feasible, runs, found, history.steps, history.orders)
 
 
 def _validated(spec: TuneSpec, state: SearchState, show: bool) -> np.ndarray:

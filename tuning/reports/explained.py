@@ -20,7 +20,7 @@ from tuning.search.state import FEASIBLE
 
 
 class Study(NamedTuple):
-    """What explains a result; it takes looks and programs of its own, so it is made once."""
+    """What explains a result; it takes evaluations and programs of its own, so it is made once."""
 
     loops: tuple[Curves, Curves]
     """Before and after."""

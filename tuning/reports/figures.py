@@ -20,9 +20,9 @@ BOTH = ((0, BASELINE, "before"), (1, TUNED, "after"))
 
 
 def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> None:
-    """Score, worst residual, hard goals and parameters over the looks, every start a line, the winner's in colour.
+    """Score, worst residual, hard goals and parameters over the iterations, every start a line, the winner's in colour.
 
-    Without a descent every point is a dot, the best of each look in colour.
+    Without a descent every point is a dot, the best of each iteration in colour.
 
     Args:
         result: What `tune` returned.
@@ -31,9 +31,9 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
     """
     step = step or result.steps[-1]
     state, space = step.state, result.spec.space
-    looks = state.look
-    chosen = np.full(looks, state.leader) if step.descent else best_of_each_look(state)
-    values = space.values(state.path[:looks])
+    iterations = state.iteration
+    chosen = np.full(iterations, state.leader) if step.descent else best_of_each_iteration(state)
+    values = space.values(state.path[:iterations])
     ends = np.cumsum([axis.size for axis in space.axes])
     goals = [*result.spec.margin_goals, *step.problem.hard_goals]
     count = 2 + len(goals) + len(space.axes)
@@ -43,11 +43,11 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
         panels = iter(np.ravel(axes))
         for title, lines in (("score", state.score), ("worst residual RMS [mN]", 1e3 * state.worst)):
             panel = next(panels)
-            _lines(panel, lines[:looks], chosen, title, step.descent)
+            _lines(panel, lines[:iterations], chosen, title, step.descent)
             logarithmic(panel)
         for i, name in enumerate(goals):
             panel = next(panels)
-            lines = np.where(np.isfinite(state.hard[:looks, :, i]), state.hard[:looks, :, i], np.nan)
+            lines = np.where(np.isfinite(state.hard[:iterations, :, i]), state.hard[:iterations, :, i], np.nan)
             _lines(panel, lines, chosen, f"{name} / limit", step.descent)
             panel.axhline(1.0, color=ACCENT, lw=1.0, ls="--", label="limit")
             panel.set_ylim(0.0, 3.0)
@@ -98,10 +98,10 @@ def before_after_figure(result: TuneResult, path: Path) -> None:
         axes[0, 0].legend(loc="upper right", ncols=2)
 
 
-def best_of_each_look(state: SearchState) -> np.ndarray:
-    """The start with the best score of each look, among those that hold the hard goals if there are any."""
-    score = np.nan_to_num(state.score[: state.look], nan=np.inf)
-    held = state.hard[: state.look].max(axis=2, initial=0.0) <= FEASIBLE
+def best_of_each_iteration(state: SearchState) -> np.ndarray:
+    """The start with the best score of each iteration, among those that hold the hard goals if there are any."""
+    score = np.nan_to_num(state.score[: state.iteration], nan=np.inf)
+    held = state.hard[: state.iteration].max(axis=2, initial=0.0) <= FEASIBLE
     best: np.ndarray = np.lexsort((score, ~held), axis=1)[:, 0]
     return best
 
@@ -137,4 +137,4 @@ def _lines(panel: Any, columns: np.ndarray, chosen: np.ndarray, title: str, join
     panel.plot(columns, color=BASELINE, lw=0.6, alpha=0.6, ms=4.0, **marks)
     panel.plot(columns[np.arange(len(columns)), chosen], color=TUNED, lw=1.6, ms=7.0, **marks)
     panel.set_title(title)
-    panel.set_xlabel("look")
+    panel.set_xlabel("iteration")

@@ -72,13 +72,13 @@ def provenance(result: TuneResult) -> dict[str, Any]:
 
 
 def history(result: TuneResult) -> bytes:
-    """Every descent as sealed arrays, up to its last look: engineering values of every look and start."""
+    """Every descent as sealed arrays, up to its last iteration: engineering values of every iteration and start."""
     space = result.spec.space
     arrays: dict[str, np.ndarray] = {f"heldout_{name}": field for name, field in result.heldout._asdict().items()}
     for step in result.steps:
-        state, looks = step.state, step.state.look
+        state, iterations = step.state, step.state.iteration
         kept = ("score", "worst", "M_s", "hard", "soft", "incumbent")
-        arrays |= {f"{step.name}/{name}": getattr(state, name)[:looks] for name in kept}
-        arrays |= {f"{step.name}/values": space.values(state.path[:looks]), f"{step.name}/skipped": state.skipped}
+        arrays |= {f"{step.name}/{name}": getattr(state, name)[:iterations] for name in kept}
+        arrays |= {f"{step.name}/values": space.values(state.path[:iterations]), f"{step.name}/skipped": state.skipped}
     header = {"kind": "jaxmpc tuning history", "spec": result.spec.to_dict(), "names": space.names}
     return seal(header, arrays)

@@ -37,7 +37,9 @@ def report(result: TuneResult) -> str:
         skipped = f", {int(state.skipped.sum())} steps skipped for a gradient not finite" if state.skipped.any() else ""
         added = f"; added {describe(step.added.trained)}" if step.added else ""
         score = f"{state.best.min():.4f}" if state.feasible else "no feasible point"
-        lines.append(f"{step.name}: {state.look} looks at {len(state.z)} starts, score {score}{skipped}{added}")
+        lines.append(
+            f"{step.name}: {state.iteration} iterations of {len(state.z)} starts, score {score}{skipped}{added}"
+        )
     return "\n".join(lines) + "\n"
 
 

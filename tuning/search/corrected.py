@@ -2,7 +2,7 @@
 
 A minimum of this problem lies where several margins are at their limits and several tissues are equally bad: a corner,
 where a descent on one penalised number crawls from side to side. SLSQP is given every margin on every tissue as a
-constraint of its own, with its exact gradient, and takes some ten looks.
+constraint of its own, with its exact gradient, and takes some ten evaluations.
 
 Source: D. Kraft, A software package for sequential quadratic programming, DFVLR-FB 88-28, 1988 (`scipy.optimize`).
 """

@@ -75,7 +75,7 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
         plan = plan._replace(patience=len(plan.widths))
         state = descend(job, problem, starts, plan, folder, f"state-pareto-{leg + 1}.npz", progress)
         starts = handed_on(state, asked, floors)
-    values = problem.look(starts, 1.0)
+    values = problem.differentiate(starts, 1.0)
     held = values.hard.max(axis=1) <= FEASIBLE
     columns = [goals.index(name) for name in limits]
     reached = np.where(floors, asked / values.hard, values.hard * asked)
@@ -102,9 +102,9 @@ def handed_on(state: SearchState, asked: np.ndarray, floors: np.ndarray) -> np.n
     """
     found = np.isfinite(state.best)
     own = np.where(found[:, None], state.best_z, state.closest_z)
-    # Normalised goals of each point's best vector, at the look that found it.
-    at = [int(np.argmax((state.path[: state.look, i] == own[i]).all(axis=1))) for i in range(len(own))]
-    normalised = np.stack([state.hard[look, i] for i, look in enumerate(at)])
+    # Normalised goals of each point's best vector, at the iteration that found it.
+    at = [int(np.argmax((state.path[: state.iteration, i] == own[i]).all(axis=1))) for i in range(len(own))]
+    normalised = np.stack([state.hard[row, i] for i, row in enumerate(at)])
     for i, limit in enumerate(asked):
         ratio = asked / limit
         fits = found & (np.where(floors, 1.0 / ratio, ratio) * normalised <= FEASIBLE).all(axis=1)

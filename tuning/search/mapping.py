@@ -82,16 +82,16 @@ def refine(
         state = load(folder, spec.digest, state, name)
     cores = len(jax.local_devices())
     with progress("tune (mapping)", rounds, "rounds", show) as tick, ThreadPoolExecutor(cores) as pool:
-        while state.look < rounds and not state.stalled(PATIENCE, 0):
+        while state.iteration < rounds and not state.stalled(PATIENCE, 0):
             values = problem.evaluate(state.z)
             state.record(values, exact=True, worth=WORTH)
-            state.memory = _entered(state.memory, state.look, state.z, values, spectra)
-            state.look += 1
-            tick(state.look, note(spec, state))
-            beginnings = parents(state.memory, len(z), state.look, spec.tune.seed)
+            state.memory = _entered(state.memory, state.iteration, state.z, values, spectra)
+            state.iteration += 1
+            tick(state.iteration, note(spec, state))
+            beginnings = parents(state.memory, len(z), state.iteration, spec.tune.seed)
             if not beginnings:
                 break
-            if state.look < rounds:
+            if state.iteration < rounds:
                 state.z = np.stack(list(pool.map(partial(_proposal, spec, spectra, state.memory), beginnings)))
             if folder is not None:
                 save(folder, spec.digest, state, name)
@@ -153,14 +153,14 @@ def _nothing(points: int, size: int, problem: Problem) -> Measured:
     return Measured(np.full((points, size), np.nan), np.full(points, np.nan), empty)
 
 
-def _entered(measured: Measured, look: int, z: np.ndarray, values: Values, spectra: Problem) -> Measured:
+def _entered(measured: Measured, iteration: int, z: np.ndarray, values: Values, spectra: Problem) -> Measured:
     """With one round more."""
     held = np.all(np.isfinite(values.cells.rms), axis=(1, 2, 3))
     factors = correction(values.cells, spectra.evaluate(z).cells)
     new = Measured(z, np.where(held, values.loss, np.nan), factors)
 
     def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
-        first = look * len(z)
+        first = round_ * len(z)
         return np.concatenate([rows[:first], row, rows[first + len(z) :]])
 
     entered: Measured = jax.tree.map(put, measured, new)

@@ -17,7 +17,7 @@ from tuning.search.state import SearchState
 from tuning.search.worst_case import WorstCase, search
 
 SCREENED = 16
-"""Random points looked at for each start of the first level."""
+"""Random points tried for each start of the first level."""
 COARSE = 8
 """Starts of a level that only proposes, for each start of the last one."""
 BETWEEN, LAST, ROUND = 0.1, 0.1, 0.1
@@ -38,7 +38,7 @@ class Step(NamedTuple):
     added: WorstCase | None = None
     """The scenario that this round added."""
     descent: bool = True
-    """Whether a start keeps its place from look to look; with space mapping each look has new points."""
+    """Whether a start keeps its place from iteration to iteration; with space mapping each iteration has new points."""
 
 
 class LevelHistory(NamedTuple):
@@ -129,7 +129,7 @@ def screened(spec: TuneSpec, problem: Problem, count: int, show: bool) -> np.nda
     losses = []
     with progress("screen", len(drawn), "points", show) as tick:
         for part in np.split(drawn, SCREENED):
-            losses.append(problem.look(part, 1.0).loss)
+            losses.append(problem.differentiate(part, 1.0).loss)
             tick(count * len(losses), "")
     order = np.argsort(np.concatenate(losses), stable=True)
     return np.concatenate([space.encode(spec.params)[None], drawn[order[: count - 1]]])

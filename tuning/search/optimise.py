@@ -35,22 +35,22 @@ SAVE_EVERY = 5.0
 
 
 class Schedule(NamedTuple):
-    """What changes from look to look."""
+    """What changes from iteration to iteration."""
 
     widths: np.ndarray
     """Widths of the horizons' mask [samples]."""
     rates: np.ndarray
     """Learning rates, one a step."""
     polish: int
-    """The look at which polishing begins."""
+    """The iteration at which polishing begins."""
     patience: int = PATIENCE
-    """Looks without gain until it stops."""
+    """Iterations without gain until it stops."""
 
 
 def schedule(steps: int, soft: bool, rate: float) -> Schedule:
     """A descent of so many steps, half of them with soft horizons if wanted.
 
-    Look 0 sees the starts as they are, with whole horizons, and moves nothing; so the result is never
+    Iteration 0 sees the starts as they are, with whole horizons, and moves nothing; so the result is never
     worse than a feasible start.
     """
     annealed = round(ANNEALED * steps) if soft else 0
@@ -91,7 +91,7 @@ def descend(
         spec: The job.
         problem: Its problem on one level.
         z: The starts, (starts, size).
-        plan: What changes from look to look.
+        plan: What changes from iteration to iteration.
         folder: Where the state is kept; None keeps none.
         name: Under which name.
         show: Whether to show progress.
@@ -103,18 +103,18 @@ def descend(
         state = load(folder, spec.digest, state, name)
     saved = time.monotonic()
     with progress(f"tune ({name_of(name)})", len(plan.widths), "steps", show) as tick:
-        while state.look < len(plan.widths) and not state.stalled(plan.patience, plan.polish):
-            i = state.look
+        while state.iteration < len(plan.widths) and not state.stalled(plan.patience, plan.polish):
+            i = state.iteration
             if i == plan.polish:
                 # What Adam remembers of soft horizons would push the whole ones around.
                 state.memory = begin(jnp.asarray(state.z))
-            values = problem.look(state.z, float(plan.widths[i]))
+            values = problem.differentiate(state.z, float(plan.widths[i]))
             state.record(values, exact=plan.widths[i] == 1.0, worth=WORTH)
             moved, state.memory, usable = update(state.z, state.memory, values.gradient, plan.rates[i])
             state.z = np.asarray(moved)
             state.skipped += ~np.asarray(usable)
-            state.look += 1
-            tick(state.look, note(spec, state))
+            state.iteration += 1
+            tick(state.iteration, note(spec, state))
             if folder is not None and time.monotonic() - saved > SAVE_EVERY:
                 save(folder, spec.digest, state, name)
                 saved = time.monotonic()
@@ -130,7 +130,7 @@ def name_of(state: str) -> str:
 
 def note(spec: TuneSpec, state: SearchState) -> str:
     """One line for the progress display: goals, worst tissue and parameters of the leading start."""
-    i, leader = state.look - 1, state.leader
+    i, leader = state.iteration - 1, state.leader
     best = f"best {state.best.min():.3f}" if state.feasible else f"goals missed by × {state.closest.min():.2f}"
     tissue = spec.experiment.stiffness[int(np.nan_to_num(state.tissue[i, leader]))]
     values = spec.space.values(state.leader_z)

@@ -19,10 +19,10 @@ FEASIBLE = 1.0
 
 @dataclass
 class SearchState:
-    """The descent between two looks. Histories have one row per look; rows not yet reached are NaN."""
+    """The descent between two iterations. Histories have one row per iteration; rows not yet reached are NaN."""
 
-    look: int
-    """Looks taken so far."""
+    iteration: int
+    """Iterations so far."""
     z: np.ndarray
     """Unconstrained parameters, (starts, size)."""
     memory: Any
@@ -36,36 +36,36 @@ class SearchState:
     closest: np.ndarray
     """Its largest normalised hard goal, (starts,) [-]; ∞ while unstable."""
     gained: int
-    """The look of the last gain worth counting."""
+    """The iteration of the last gain worth counting."""
     skipped: np.ndarray
     """Steps not taken because the gradient was not finite, per start."""
     score: np.ndarray
-    """Risk of the soft goals per look and start [-]."""
+    """Risk of the soft goals per iteration and start [-]."""
     worst: np.ndarray
-    """Worst residual per look and start [N]."""
+    """Worst residual per iteration and start [N]."""
     tissue: np.ndarray
-    """Where the soft goals stood worst per look and start, index into the stiffnesses."""
+    """Where the soft goals stood worst per iteration and start, index into the stiffnesses."""
     M_s: np.ndarray
-    """M_s at the worst stiffness per look and start [-]."""
+    """M_s at the worst stiffness per iteration and start [-]."""
     hard: np.ndarray
-    """Hard goals per look, start and goal [-]."""
+    """Hard goals per iteration, start and goal [-]."""
     soft: np.ndarray
-    """Soft goals per look, start and goal [-]."""
+    """Soft goals per iteration, start and goal [-]."""
     path: np.ndarray
-    """z per look and start."""
+    """z per iteration and start."""
     incumbent: np.ndarray
-    """The least `best` after each look [-]."""
+    """The least `best` after each iteration [-]."""
 
     @staticmethod
-    def new(z: np.ndarray, memory: Any, looks: int, goals: tuple[int, int]) -> "SearchState":
-        """Before the first look; `goals` counts the hard and the soft ones."""
+    def new(z: np.ndarray, memory: Any, iterations: int, goals: tuple[int, int]) -> "SearchState":
+        """Before the first iteration; `goals` counts the hard and the soft ones."""
         starts, size = z.shape
 
         def rows(*shape: int) -> np.ndarray:
-            return np.full((looks, *shape), np.nan)
+            return np.full((iterations, *shape), np.nan)
 
         return SearchState(
-            look=0,
+            iteration=0,
             z=z,
             memory=memory,
             best_z=np.full((starts, size), np.nan),
@@ -101,14 +101,14 @@ class SearchState:
         return vector
 
     def record(self, values: Values, exact: bool, worth: float) -> None:
-        """Enter one look into the histories; with whole horizons it may hold the best so far.
+        """Enter one iteration into the histories; with whole horizons it may hold the best so far.
 
         Args:
             values: What was seen at `z`.
             exact: Whether the horizons were whole: only then the goals are those of a real controller.
             worth: Relative gain from which on it counts against the patience.
         """
-        i = self.look
+        i = self.iteration
         self.score[i], self.worst[i], self.tissue[i] = values.score, values.worst, values.tissue
         self.M_s[i], self.hard[i], self.soft[i] = values.M_s.max(axis=1), values.hard, values.soft
         self.path[i] = self.z
@@ -125,8 +125,8 @@ class SearchState:
         self.incumbent[i] = self.best.min()
 
     def stalled(self, patience: int, since: int) -> bool:
-        """Whether nothing was gained for so many looks, counted from look `since` on."""
-        return self.feasible and self.look - max(self.gained, since) > patience
+        """Whether nothing was gained for so many iterations, counted from iteration `since` on."""
+        return self.feasible and self.iteration - max(self.gained, since) > patience
 
 
 def save(folder: Path, key: str, state: SearchState, name: str = NAME) -> None:
@@ -155,5 +155,5 @@ def load(folder: Path, key: str, fresh: SearchState, name: str = NAME) -> Search
         )
     leaves, structure = jax.tree.flatten(fresh.memory)
     memory = jax.tree.unflatten(structure, [arrays.pop(f"memory_{i}") for i in range(len(leaves))])
-    look, gained = (int(arrays.pop(name)[()]) for name in ("look", "gained"))
-    return SearchState(memory=memory, **arrays, look=look, gained=gained)
+    iteration, gained = (int(arrays.pop(name)[()]) for name in ("iteration", "gained"))
+    return SearchState(memory=memory, **arrays, iteration=iteration, gained=gained)
