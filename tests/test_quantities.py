@@ -19,7 +19,7 @@ from sweeps.spec import SweepSpec
 from tuning import TuneSpec
 from tuning.job.goals import GOALS, MEASURED, margin_goals, run_goals
 from tuning.job.space import FREE, axis_of
-from tuning.objective.designed import SPECTRAL
+from tuning.objective.measures import SPECTRAL
 
 EVERY = {**METRICS, **MARGINS, **PARAMETERS}
 

@@ -51,7 +51,7 @@ def prepared(spec: TuneSpec, key: str, path: Path) -> Costs:
     """
     problem = problem_of(spec, spec.ladder[-1], training(spec, spec.tune.train_seeds))
     starts = spec.tune.starts
-    many = vectors(problem.kind.axes, np.random.default_rng(0).uniform(size=(BATCH, spec.space.size)))
+    many = vectors(problem.structure.axes, np.random.default_rng(0).uniform(size=(BATCH, spec.space.size)))
     many[0] = spec.space.encode(spec.params)
     few = np.repeat(many[:1], starts, axis=0)
     evaluate, small = evaluator(problem, mpc_aob), evaluator(problem, mpc_aob, starts)

@@ -74,7 +74,9 @@ def tuned(spec: TuneSpec, cost_ratio: float, rate: float, steps: int) -> Run:
 
 def decides(problem: Problem, spec: TuneSpec) -> bool:
     """Whether a problem is that of the last level."""
-    return problem.data.spectra is None and (problem.kind.world.robot is None) == (spec.experiment.physics == "linear")
+    return problem.data.spectra is None and (problem.structure.world.robot is None) == (
+        spec.experiment.physics == "linear"
+    )
 
 
 def warmed_up(spec: TuneSpec) -> float:

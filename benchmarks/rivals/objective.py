@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,15 +14,16 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array
 
 from benchmarks.rivals import pi
+from jaxmpc.closed_loops import ClosedLoops, close_loops, contacts_of
 from tuning.job.space import SearchSpace
-from tuning.objective.designed import Data, Designed, ProblemStructure, designed, worlds_of
 from tuning.objective.loss import evaluate_goals
+from tuning.objective.measures import Data, ProblemStructure
 from tuning.objective.problem import Problem
 
 BATCH = 16
 """Controllers at a time: fewer take as long, more are no faster each (measured)."""
-Law = Callable[[Array, Data, ProblemStructure], Designed]
-"""The controller that an unconstrained vector stands for."""
+Law = Callable[[Array, Data, ProblemStructure], ClosedLoops]
+"""The loops that unconstrained vectors (rows, size) stand for."""
 LOST = 1e3
 """Loss of a controller whose runs left the finite numbers [-]."""
 
@@ -47,7 +47,7 @@ def evaluator(problem: Problem, law: Law, rows: int = BATCH) -> Callable[[np.nda
         law: What a vector stands for: `mpc_aob` or `pi_control`.
         rows: How many at a time.
     """
-    program, devices = _program(problem.kind, law)
+    program, devices = _program(problem.structure, law)
     rows = -(-rows // devices) * devices
 
     def evaluate(z: np.ndarray) -> Seen:
@@ -62,12 +62,12 @@ def evaluator(problem: Problem, law: Law, rows: int = BATCH) -> Callable[[np.nda
 
 
 @cache
-def _program(kind: ProblemStructure, law: Law) -> tuple[Callable[..., Seen], int]:
-    """Compiled once per kind and law, and on how many devices it runs."""
+def _program(structure: ProblemStructure, law: Law) -> tuple[Callable[..., Seen], int]:
+    """Compiled once per structure and law, and on how many devices it runs."""
     spec: Any = PartitionSpec
 
     def on_device(z: Array, data: Data) -> Seen:
-        return judged(jax.vmap(lambda vector: law(vector, data, kind))(z), data, kind)
+        return judged(law(z, data, structure), data, structure)
 
     mesh = Mesh(np.array(jax.local_devices()), ("device",))
     split = spec("device")
@@ -76,21 +76,23 @@ def _program(kind: ProblemStructure, law: Law) -> tuple[Callable[..., Seen], int
     return program, mesh.size
 
 
-def mpc_aob(z: Array, data: Data, kind: ProblemStructure) -> Designed:
+def mpc_aob(z: Array, data: Data, structure: ProblemStructure) -> ClosedLoops:
     """The tuner's own controller; traceable."""
-    return designed(SearchSpace(data.base, kind.axes).decode(z, 1.0), data, 1.0)
+    space = SearchSpace(data.base, structure.axes)
+    params = jax.vmap(lambda vector: space.decode(vector, 1.0))(z)
+    return close_loops(params, data.scene.stiffness, data.scene.path)
 
 
-def pi_control(z: Array, data: Data, kind: ProblemStructure) -> Designed:
+def pi_control(z: Array, data: Data, structure: ProblemStructure) -> ClosedLoops:
     """The PI controller with damping, in the same worlds and judged at the same margins; traceable."""
-    found = pi.decode(z)
-    gains = pi.gains(found, data.scene.path.T_s)
-    damped = eqx.tree_at(lambda params: params.K2, data.base, found.K2)
-    return Designed(damped, gains, *worlds_of(gains, found.K2, data))
+    found = jax.vmap(pi.decode)(z)
+    gains = jax.vmap(lambda one: pi.gains(one, data.scene.path.T_s))(found)
+    contacts = contacts_of(found.K2, data.scene.stiffness, data.scene.path)
+    return ClosedLoops(gains, found.K2, contacts, jnp.zeros_like(found.K2))
 
 
-def judged(controllers: Designed, data: Data, kind: ProblemStructure) -> Seen:
-    """Loss of designed controllers, as the tuner has it; traceable."""
-    found = evaluate_goals(controllers, data, kind)
+def judged(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> Seen:
+    """Loss of closed loops, as the tuner has it; traceable."""
+    found = evaluate_goals(loops, data, structure)
     worst = jnp.max(jnp.stack([jnp.max(found.margins.normalised, axis=(1, 2), initial=0.0), *found.hard]), axis=0)
     return Seen(found.loss, jnp.where(found.stable, found.risk, jnp.nan), jnp.where(found.stable, worst, jnp.inf))

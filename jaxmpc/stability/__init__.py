@@ -46,6 +46,17 @@ class Margins(NamedTuple):
     """A `Status`."""
 
 
+def stability_status(radius: Any, residual: Any) -> Any:
+    """The `Status` that a linear loop has: OK, UNSTABLE, or ILL_POSED.
+
+    Args:
+        radius: Spectral radius of the loop [-].
+        residual: Riccati residual of the design [-].
+    """
+    stable = jnp.where(radius < 1.0, Status.OK, Status.UNSTABLE)
+    return jnp.where((residual < ILL_POSED_ABOVE) & jnp.isfinite(radius), stable, Status.ILL_POSED)
+
+
 def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0) -> Margins:
     """Margins of one controller on one tissue; float64, traceable, differentiable.
 
@@ -68,11 +79,10 @@ def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0
     cuts = jax.vmap(margins_at)(cut_at_a)
     worst = LoopMargins(jnp.max(cuts.M_s), *(jnp.min(cut) for cut in cuts[1:]))
     stable = radius < 1.0
-    well_posed = residual < ILL_POSED_ABOVE
-    status = jnp.where(stable, Status.OK, Status.UNSTABLE)
-    status = jnp.where(well_posed & jnp.isfinite(radius), status, Status.ILL_POSED)
     up, down, phase, delay = (jnp.where(stable, value, jnp.nan) for value in worst[1:])
-    return Margins(jnp.where(stable, worst.M_s, jnp.inf), up, down, phase, delay, radius, status)
+    return Margins(
+        jnp.where(stable, worst.M_s, jnp.inf), up, down, phase, delay, radius, stability_status(radius, residual)
+    )
 
 
 @JitOnce

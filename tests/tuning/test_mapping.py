@@ -13,8 +13,8 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
-from tuning.objective.designed import Data
 from tuning.objective.loss import HEADROOM, Values, loss_of
+from tuning.objective.measures import Data
 from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.corrected import REACH, minimised, values_and_slopes
 from tuning.search.mapping import Measured, correction, parents, refine, spectra_of
@@ -68,7 +68,9 @@ def test_corrected_spectra_say_at_a_point_what_was_measured_there(case: Case) ->
     assert np.abs(case.factors.peak_to_peak - 1.0).min() > 1.0
     for i in range(len(case.z)):
         one: Any = jax.tree.map(lambda field, i=i: np.repeat(field[i : i + 1], 4, axis=0), case.factors)
-        said = jax.jit(loss_of, static_argnames="kind")(case.z, limited(case, 4, one), 1.0, kind=case.spectra.kind)
+        said = jax.jit(loss_of, static_argnames="structure")(
+            case.z, limited(case, 4, one), 1.0, structure=case.spectra.structure
+        )
         loss, (_, _, _, _, hard, soft, _) = said
         for found, expected in ((loss, case.measured.loss), (hard, case.measured.hard), (soft, case.measured.soft)):
             np.testing.assert_allclose(found[i], expected[i], rtol=1e-12)
@@ -98,7 +100,7 @@ def test_an_evaluation_is_a_look_without_its_gradient(case: Case) -> None:
 @in_float64
 def test_slopes_of_risk_and_of_every_constraint_are_central_differences(case: Case) -> None:
     """Step 1e-5: rounding and curvature leave some 1e-8 of the largest slope."""
-    data, program, h = limited(case, 1, first_of(case.factors)), values_and_slopes(case.spectra.kind, MOVED), 1e-5
+    data, program, h = limited(case, 1, first_of(case.factors)), values_and_slopes(case.spectra.structure, MOVED), 1e-5
     z = case.z[0]
     x = z[list(MOVED)]
     slopes = np.asarray(program(x, z, data)[1])
@@ -113,7 +115,7 @@ def test_slopes_of_risk_and_of_every_constraint_are_central_differences(case: Ca
 def test_the_search_ends_where_another_solver_does(case: Case) -> None:
     """An interior-point method from the same place: log risks to 2e-3, less than a correction is good for."""
     factors, z, moved = first_of(case.factors), case.z[0], list(MOVED)
-    data, program = limited(case, 1, factors), values_and_slopes(case.spectra.kind, MOVED)
+    data, program = limited(case, 1, factors), values_and_slopes(case.spectra.structure, MOVED)
     found = minimised(case.spec, case.spectra, z, factors)
     np.testing.assert_array_equal(np.delete(found, moved), np.delete(z, moved))
     risk, *missed = np.asarray(program(found[moved], z, data)[0])

@@ -14,8 +14,8 @@ from jaxmpc.quantities import METRICS
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.job.goals import margin_goals
-from tuning.objective.designed import measure
 from tuning.objective.loss import HEADROOM, PENALTY, Values, loss_of, visible_goals, visible_soft
+from tuning.objective.measures import measure
 from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.optimise import optimiser
 
@@ -155,7 +155,7 @@ def test_levels_agree_on_effort_and_chatter(small: Job) -> None:
         small(experiment={"published": "table-1-wam"}, params=params, tune=tune, goals={"ideal": False})
     )
     levels = (problem_of(spec, level, training(spec, (0,))) for level in spec.ladder)
-    coarse, fine = (measure(spec.params, level.data, level.kind) for level in levels)
+    coarse, fine = (measure(spec.params, level.data, level.structure) for level in levels)
     np.testing.assert_allclose(coarse.chatter, fine.chatter, rtol=0.05)
     np.testing.assert_allclose(coarse.effort, fine.effort, rtol=0.05)
 

@@ -112,7 +112,7 @@ def test_everybody_is_given_the_tuners_objective(brief: tuple[TuneSpec, Problem]
     limits = {name: jnp.full(8, limit) for name, limit in problem.data.margins.items()}
     data = problem.data._replace(margins=limits)
     # The gradient's program would take three times as long to compile; the benchmark itself compares with that.
-    loss, (score, _, _, _, hard, *_) = jax.jit(lambda rows: loss_of(rows, data, 1.0, problem.kind))(z)
+    loss, (score, _, _, _, hard, *_) = jax.jit(lambda rows: loss_of(rows, data, 1.0, problem.structure))(z)
     stable = np.isfinite(score)
     assert stable.any()
     assert not stable.all()

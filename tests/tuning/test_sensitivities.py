@@ -153,7 +153,7 @@ def test_curves_show_the_worse_cut_and_end_where_the_reference_asks(spec: TuneSp
 
 def compiled(problem: Problem) -> tuple[int, int]:
     """How many functions have been dealt out, and how many programs there are of the one that descends."""
-    dealt: Any = _dealt(value_and_gradient, problem.kind)
+    dealt: Any = _dealt(value_and_gradient, problem.structure)
     return _dealt.cache_info().currsize, dealt._cache_size()
 
 

@@ -7,11 +7,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxmpc.closed_loops import ClosedLoops, close_loops
 from jaxmpc.metrics import Metrics
+from jaxmpc.stability import Margins
 from tuning.job.goals import OVERSHOOT, RATIO, RUN_GOALS, MarginGoals, margin_goals, run_goals
 from tuning.job.risk import soft_worst
 from tuning.job.space import SearchSpace
-from tuning.objective.designed import Data, Designed, ProblemStructure, cells_of, designed, overshoot_of
+from tuning.objective.measures import Data, ProblemStructure, cells_of, judged_margins, overshoot_of
 
 PENALTY = 10.0
 """Price of a violation in units of log residual: above its Lagrange multiplier (some 2) the penalty is exact."""
@@ -43,7 +45,8 @@ class Values(NamedTuple):
 class GoalEvaluation(NamedTuple):
     """All starts held against their goals, each (starts, …)."""
 
-    controllers: Designed
+    judged: Margins
+    """(starts, judged_at)"""
     stable: Any
     margins: MarginGoals
     cells: Metrics
@@ -73,21 +76,25 @@ class GoalEvaluation(NamedTuple):
         return self.log_risk + PENALTY * (self.margins.violation + jnp.where(self.stable, missed, 0.0))
 
 
-def evaluate_vectors(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> GoalEvaluation:
+def evaluate_vectors(
+    z: Float[Array, "starts size"], data: Data, width: Any, structure: ProblemStructure
+) -> GoalEvaluation:
     """Design, run and judge every start; traceable. Starts are innermost in the time loop, so they cost little."""
-    space = SearchSpace(data.base, kind.axes)
-    return evaluate_goals(jax.vmap(lambda vector: designed(space.decode(vector, width), data, width))(z), data, kind)
+    space = SearchSpace(data.base, structure.axes)
+    params = jax.vmap(lambda vector: space.decode(vector, width))(z)
+    return evaluate_goals(close_loops(params, data.scene.stiffness, data.scene.path, width), data, structure)
 
 
-def evaluate_goals(controllers: Designed, data: Data, kind: ProblemStructure) -> GoalEvaluation:
-    """Run and judge designed controllers; traceable."""
-    stable = jnp.all(controllers.found.spectral_radius < 1.0, axis=1)
+def evaluate_goals(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> GoalEvaluation:
+    """Run and judge closed loops; traceable."""
+    judged = judged_margins(loops, data)
+    stable = jnp.all(judged.spectral_radius < 1.0, axis=1)
     limits = {name: jnp.broadcast_to(limit, stable.shape) for name, limit in data.margins.items()}
-    margins = jax.vmap(lambda found, limits: margin_goals(found, limits, HEADROOM))(controllers.found, limits)
+    margins = jax.vmap(lambda found, limits: margin_goals(found, limits, HEADROOM))(judged, limits)
     # An unstable loop would run away and make even the unused slope NaN: it stands still instead.
-    safe = controllers._replace(gains=jax.tree.map(lambda gain: _where(stable, gain, 0.0), controllers.gains))
-    cells = cells_of(safe, data, kind)
-    overshoot = overshoot_of(safe, data, kind) if OVERSHOOT in {*data.hard, *data.soft} else None
+    safe = loops._replace(gains=jax.tree.map(lambda gain: _where(stable, gain, 0.0), loops.gains))
+    cells = cells_of(safe, data, structure)
+    overshoot = overshoot_of(safe, data, structure) if OVERSHOOT in {*data.hard, *data.soft} else None
 
     def goals(limits: Mapping[str, Any]) -> dict[str, Array]:
         wide = {name: jnp.reshape(limit, (-1, 1, 1, 1)) for name, limit in limits.items()}
@@ -95,20 +102,20 @@ def evaluate_goals(controllers: Designed, data: Data, kind: ProblemStructure) ->
 
     soft, hard = goals(visible_soft(data)), goals({name: data.hard[name] for name in visible_goals(data.hard, data)})
     per_scenario = jnp.concatenate([jnp.moveaxis(goal, 2, 1).reshape(*goal.shape[::2], -1) for goal in _wide(soft)], 2)
-    risk = kind.risk.over(soft_worst(per_scenario))
+    risk = structure.risk.over(soft_worst(per_scenario))
     missed = [jnp.max(goal, axis=(1, 2, 3)) for goal in hard.values()]
-    return GoalEvaluation(controllers, stable, margins, cells, soft, risk, missed)
+    return GoalEvaluation(judged, stable, margins, cells, soft, risk, missed)
 
 
 def loss_of(
-    z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure
+    z: Float[Array, "starts size"], data: Data, width: Any, structure: ProblemStructure
 ) -> tuple[Float[Array, " starts"], Any]:
     """Loss of every start; traceable.
 
     Returns:
         Loss [-]; and the fields of `Values` after the gradient.
     """
-    found = evaluate_vectors(z, data, width, kind)
+    found = evaluate_vectors(z, data, width, structure)
 
     def where_stable(value: Array) -> Array:
         return _where(found.stable, value, jnp.nan)
@@ -120,35 +127,37 @@ def loss_of(
         where_stable(found.risk),
         where_stable(jnp.max(found.cells.rms, axis=(1, 2, 3))),
         jnp.argmax(jnp.max(per_tissue, axis=0), axis=1),
-        found.controllers.found.M_s,
+        found.judged.M_s,
         jnp.where(found.stable[:, None], jnp.concatenate(at_worst, axis=1), jnp.inf),
         where_stable(jnp.stack(worst_soft, axis=1)),
         jax.tree.map(where_stable, found.cells),
     )
 
 
-def constrained(z: Float[Array, "starts size"], data: Data, kind: ProblemStructure) -> Float[Array, "starts values"]:
+def constrained(
+    z: Float[Array, "starts size"], data: Data, structure: ProblemStructure
+) -> Float[Array, "starts values"]:
     """The same as a program with constraints: log risk, then what must be at most 0, whole horizons; traceable."""
-    found = evaluate_vectors(z, data, 1.0, kind)
+    found = evaluate_vectors(z, data, 1.0, structure)
     margins = (1.0 + HEADROOM - found.margins.inverse).reshape(len(z), -1)
     runs = [jnp.where(found.stable, value, 1.0)[:, None] for value in found.shortfall]
     return jnp.concatenate([found.log_risk[:, None], margins, *runs], axis=1)
 
 
-def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> Values:
+def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, structure: ProblemStructure) -> Values:
     """Value and gradient of all starts, in reverse mode; traceable."""
 
     def total(z: Array) -> tuple[Array, Any]:
-        loss, rest = loss_of(z, data, width, kind)
+        loss, rest = loss_of(z, data, width, structure)
         return jnp.sum(loss), (loss, *rest)
 
     (_, (loss, *rest)), gradient = jax.value_and_grad(total, has_aux=True)(z)
     return Values(loss, gradient, *rest)
 
 
-def value_alone(z: Float[Array, "starts size"], data: Data, width: Any, kind: ProblemStructure) -> Values:
+def value_alone(z: Float[Array, "starts size"], data: Data, width: Any, structure: ProblemStructure) -> Values:
     """The same without the slopes, which are NaN; traceable."""
-    loss, rest = loss_of(z, data, width, kind)
+    loss, rest = loss_of(z, data, width, structure)
     return Values(loss, jnp.full_like(z, jnp.nan), *rest)
 
 

@@ -21,8 +21,8 @@ from tuning.job.goals import RATIO, RUN_GOALS
 from tuning.job.scenarios import scenarios, scene_over
 from tuning.job.settings import Level
 from tuning.job.spec import TuneSpec
-from tuning.objective.designed import Data, ProblemStructure, measure
 from tuning.objective.loss import Values, value_alone, value_and_gradient, visible_goals, visible_soft
+from tuning.objective.measures import Data, ProblemStructure, measure
 
 COARSER = 3
 """A level that only proposes judges margins at one in so many stiffnesses."""
@@ -32,7 +32,7 @@ class Problem(NamedTuple):
     """What the descent descends on."""
 
     data: Data
-    kind: ProblemStructure
+    structure: ProblemStructure
 
     def differentiate(self, z: np.ndarray, width: float) -> Values:
         """Value and gradient of all starts, dealt out to all local devices.
@@ -55,7 +55,7 @@ class Problem(NamedTuple):
 
         rows = z, jax.tree.map(wide, self.data.margins), jax.tree.map(wide, self.data.hard)
         padded = jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)]), rows)
-        found = _dealt(function, self.kind)(padded, self.data._replace(margins={}, hard={}), width)
+        found = _dealt(function, self.structure)(padded, self.data._replace(margins={}, hard={}), width)
         values: Values = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(z)], found)
         return values
 
@@ -78,14 +78,14 @@ class Problem(NamedTuple):
 
 
 @cache
-def _dealt(function: Callable[..., Values], kind: ProblemStructure) -> Callable[..., Values]:
-    """Compiled once per kind and shapes; each device has its share of the starts."""
+def _dealt(function: Callable[..., Values], structure: ProblemStructure) -> Callable[..., Values]:
+    """Compiled once per structure and shapes; each device has its share of the starts."""
     spec: Any = PartitionSpec
     split, whole = spec("device"), spec()
 
     def on_device(rows: Any, data: Data, width: Any) -> Values:
         z, margins, hard = rows
-        return function(z, data._replace(margins=margins, hard=hard), width, kind)
+        return function(z, data._replace(margins=margins, hard=hard), width, structure)
 
     mesh = Mesh(np.array(jax.local_devices()), ("device",))
     mapped = jax.shard_map(on_device, mesh=mesh, in_specs=(split, whole, whole), out_specs=split, check_vma=False)
@@ -112,7 +112,7 @@ def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Probl
     # Scenarios may differ in delay; the linear loop has the experiment's, as the margins do.
     scene = scene._replace(path=replace(scene.path, delay=float(spec.experiment.delay)))
     experiment = met[0] if level == "arm" else msgspec.structs.replace(met[0], physics="linear")
-    kind = ProblemStructure(spec.space.axes, program_spec(experiment), spec.tune.precision, spec.risk)
+    structure = ProblemStructure(spec.space.axes, program_spec(experiment), spec.tune.precision, spec.risk)
     cells = (len(scene.stiffness), len(met), 3)
     data = Data(
         scene=scene,
@@ -130,10 +130,10 @@ def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Probl
     if any(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in {**spec.soft, **spec.goals}):
         old = spec.met_before(met)
         scene, spectra = jax.tree.map(jnp.asarray, _seen(level, old))
-        world = program_spec(old[0]) if level == "arm" else kind.world
+        world = program_spec(old[0]) if level == "arm" else structure.world
         seen_before = data._replace(scene=scene, spectra=spectra)
-        data = data._replace(reference=measure(spec.before, seen_before, kind._replace(world=world)))
-    return Problem(data, kind)
+        data = data._replace(reference=measure(spec.before, seen_before, structure._replace(world=world)))
+    return Problem(data, structure)
 
 
 def coarser(spec: TuneSpec) -> np.ndarray:

@@ -17,7 +17,7 @@ from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.precision import in_float64
-from tuning.objective.designed import STEP_SAMPLES
+from tuning.objective.measures import STEP_SAMPLES
 
 LOWEST_HZ, POINTS = 0.1, 500
 """Where the curves over frequency begin, and their points up to the Nyquist frequency, in equal ratios."""

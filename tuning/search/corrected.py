@@ -19,8 +19,8 @@ from jaxtyping import Array, Float
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import HORIZONS
 from tuning.job.spec import TuneSpec
-from tuning.objective.designed import Data, ProblemStructure
 from tuning.objective.loss import HEADROOM, constrained
+from tuning.objective.measures import Data, ProblemStructure
 from tuning.objective.problem import Problem
 
 REACH = 1.0
@@ -49,7 +49,7 @@ def minimised(
     moved = np.array([i for i, name in enumerate(spec.space.names) if name not in HORIZONS], int)
     if not len(moved):
         return z
-    program = values_and_slopes(spectra.kind, tuple(moved.tolist()))
+    program = values_and_slopes(spectra.structure, tuple(moved.tolist()))
     limits = {name: jnp.reshape(jnp.asarray(limit, float), (1,)) for name, limit in spectra.data.margins.items()}
     runs = {name: jnp.reshape(jnp.asarray(limit, float), (1,)) for name, limit in spectra.data.hard.items()}
     data = spectra.data._replace(margins=limits, hard=runs, correction=factors)
@@ -85,7 +85,7 @@ def minimised(
 
 
 @lru_cache(maxsize=8)
-def values_and_slopes(kind: ProblemStructure, moved: tuple[int, ...]) -> Callable[..., tuple[Array, Array]]:
+def values_and_slopes(structure: ProblemStructure, moved: tuple[int, ...]) -> Callable[..., tuple[Array, Array]]:
     """A compiled function of (numbers that move, the whole vector, data): log risk and constraints, and their slopes.
 
     Forward mode: some ten numbers move, and there are as many constraints as goals times tissues.
@@ -94,7 +94,7 @@ def values_and_slopes(kind: ProblemStructure, moved: tuple[int, ...]) -> Callabl
 
     def evaluate(x: Any, z: Any, data: Data) -> tuple[Array, Array]:
         def values(x: Array) -> Array:
-            return constrained(jnp.asarray(z).at[places].set(x)[None], data, kind)[0]
+            return constrained(jnp.asarray(z).at[places].set(x)[None], data, structure)[0]
 
         found, push = jax.linearize(values, jnp.asarray(x))
         return found, jax.vmap(push, out_axes=1)(jnp.eye(len(moved)))

@@ -25,8 +25,8 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.terminal.progress import progress
 from jaxmpc.xla.precision import in_float64
 from tuning.job.spec import TuneSpec
-from tuning.objective.designed import following_rms
 from tuning.objective.loss import Values
+from tuning.objective.measures import following_rms
 from tuning.objective.problem import Problem, problem_of
 from tuning.search.corrected import minimised
 from tuning.search.optimise import WORTH, note

@@ -8,11 +8,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxmpc.closed_loops import ClosedLoops, lasted_per_motion, per_motion, run_loops, verdict
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
-from jaxmpc.engine.registry import choose
-from jaxmpc.stability import ILL_POSED_ABOVE
+from jaxmpc.stability import stability_status
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
-from jaxmpc.status import Status
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.robot import Robot
 from jaxmpc.xla.blocks import over_blocks
@@ -55,23 +54,15 @@ def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) ->
         over_motions = jax.vmap(over_copies, in_axes=(0, 0, None, None))
         radii = over_motions(stiffness, jnp.broadcast_to(robot.extra_delay, cells), gains, params.K2)
 
-        data = ScenarioData(stiffness, signals, None, robot, path)
-        found = choose(spec).simulate(spec, gains, params.K2, None, data, "float64")
+        loops, data = ClosedLoops(gains, params.K2, None, residual), ScenarioData(stiffness, signals, None, robot, path)
+        run = run_loops(loops, data, world=spec, dtype="float64")
+        lasted = lasted_per_motion(run).T
+        status, when = verdict(stability_status(radii, residual), lasted, run.diverged.T, run.lost_contact.T)
 
         def per_trial(field: Any) -> Any:
-            """With dimensions (motions, copies, controllers, 3)."""
-            return jnp.transpose(field.reshape(*field.shape[:2], -1, 3), (2, 1, 0, 3))
+            """With dimensions (motions, copies, controllers, 3), NaN where the run did not last."""
+            return jnp.where(lasted[..., None], jnp.transpose(per_motion(field), (2, 1, 0, 3)), jnp.nan)
 
-        rms, peak = map(per_trial, (found.metrics.rms, found.metrics.peak_error))
-        diverged, lost_contact = found.diverged.T, found.lost_contact.T
-        lasted = jnp.isinf(diverged) & jnp.all(jnp.isfinite(rms), axis=-1)
-        status = jnp.where(jnp.isinf(lost_contact), Status.OK, Status.LOST_CONTACT)
-        status = jnp.where(lasted, status, Status.DIVERGED)
-        status = jnp.where(radii < 1.0, status, Status.UNSTABLE)
-        status = jnp.where((residual < ILL_POSED_ABOVE) & jnp.isfinite(radii), status, Status.ILL_POSED)
-        when = jnp.minimum(diverged, lost_contact)
-        kept = lasted[..., None]
-        measured = (jnp.where(kept, field, jnp.nan) for field in (rms, peak))
-        return status, jnp.where(jnp.isinf(when), jnp.nan, when), radii, *measured
+        return status, when, radii, per_trial(run.metrics.rms), per_trial(run.metrics.peak_error)
 
     return over_blocks(block, AT_A_TIME)
