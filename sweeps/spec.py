@@ -9,7 +9,7 @@ import msgspec
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.files.toml import convert, known_keys, located, read_toml
+from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
 from jaxmpc.quantities import PARAMETERS
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.heart.motion import Seed
@@ -82,12 +82,7 @@ class SweepSpec:
         Raises:
             InputError: A key is unknown, or a value of the wrong type or out of bounds.
         """
-        tables = ["experiment", "params", "sweep"]
-        for key, value in data.items():
-            if key not in tables:
-                raise InputError(key, value, "a known table", nearest(key, tables))
-            if not isinstance(value, dict):
-                raise InputError(key, value, "a table", f"Put its keys under [{key}].")
+        known_tables(data, ("experiment", "params", "sweep"))
         if "sweep" not in data:
             raise InputError("sweep", "missing", "a table", 'Add [sweep] with kind = "grid" and [sweep.axes].')
         experiment = experiment_table(data.get("experiment", {}), folder)

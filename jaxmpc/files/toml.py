@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -84,6 +84,15 @@ def known_keys(kind: type[msgspec.Struct], table: dict[str, Any], root: str = ""
     for key, value in table.items():
         if key not in names:
             raise InputError(f"{root}.{key}".lstrip("."), value, "a known key", nearest(key, names))
+
+
+def known_tables(data: Mapping[str, Any], names: Sequence[str]) -> None:
+    """Refuse a table that a file does not have, and what is none."""
+    for name, table in data.items():
+        if name not in names:
+            raise InputError(name, table, "a known table", nearest(name, list(names)))
+        if not isinstance(table, dict):
+            raise InputError(name, table, "a table", f"Put its keys under [{name}].")
 
 
 def _lookup(data: Any, path: str) -> Any:

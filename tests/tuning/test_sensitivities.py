@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import spearmanr
 
 from jaxmpc import Params, design
 from jaxmpc.stability.loop import contact_of
@@ -18,7 +17,7 @@ from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.objective.loss import HEADROOM, PENALTY, value_and_gradient
 from tuning.objective.problem import Problem, _dealt
-from tuning.proof.agreement import agreement, spearman
+from tuning.proof.agreement import agreement
 from tuning.proof.gradients import SCORE, judged_on, on_tissue, slopes, values_at
 from tuning.proof.limits import limits, multipliers_of
 from tuning.proof.loops import curves
@@ -118,12 +117,6 @@ def test_multipliers_balance_the_slope_with_goals_that_push_against_it() -> None
     np.testing.assert_allclose(multipliers, [2.0, 0.5, 0.0], atol=1e-12)
     assert left == pytest.approx(0.3)
     assert multipliers_of(downhill, [])[1] == pytest.approx(np.linalg.norm(downhill))
-
-
-def test_rank_correlation_is_scipys() -> None:
-    x, y = np.random.default_rng(1).standard_normal((2, 30))
-    assert spearman(x, x + y) == pytest.approx(spearmanr(x, x + y).statistic, rel=1e-12)
-    assert spearman(x, -np.exp(x)) == pytest.approx(-1.0)
 
 
 @in_float64

@@ -14,7 +14,7 @@ from jaxmpc.experiment.reference import Reference
 from tuning import trials
 from tuning.job.scenarios import RHYTHMS
 from tuning.trials import HARD, NOMINAL, Job, Outcomes
-from tuning.trials.report import pairs, ranked, wilson
+from tuning.trials.report import pairs, ranked
 
 BLOCK = 4
 
@@ -36,12 +36,6 @@ def outcomes(peak: Any, status: Any = 0) -> Outcomes:
     field = np.asarray(peak, float)[..., None] * [1.0, 0.5, 0.1]
     flat = np.zeros(field.shape[:2])
     return Outcomes(np.broadcast_to(status, flat.shape), flat, flat, field, field)
-
-
-@pytest.mark.parametrize(("hits", "count"), [(0, 1), (0, 10_000), (1, 1), (3, 17), (93, 10_000), (10_000, 10_000)])
-def test_wilson_is_scipys(hits: int, count: int) -> None:
-    expected = scipy.stats.binomtest(hits, count).proportion_ci(method="wilson")
-    np.testing.assert_allclose(wilson(hits, count), (expected.low, expected.high), rtol=1e-12, atol=1e-15)
 
 
 def test_pairs_and_ranks() -> None:

@@ -14,7 +14,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.sealed import digest
-from jaxmpc.files.toml import convert, known_keys, located, read_toml
+from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
 from jaxmpc.quantities import HORIZONS, MARGINS, PARAMETERS, Quantity
 from jaxmpc.synthesis.params import Params
 from tuning.job.goals import GOALS, MEASURED
@@ -171,12 +171,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         Raises:
             InputError: Names key, value, bound and remedy.
         """
-        tables = ("experiment", "params", "baseline", "tune", "goals", "scenarios", "risk", "pareto")
-        for name, table in data.items():
-            if name not in tables:
-                raise InputError(name, table, "a known table", nearest(name, list(tables)))
-            if not isinstance(table, dict):
-                raise InputError(name, table, "a table", f"Put its keys under [{name}].")
+        known_tables(data, ("experiment", "params", "baseline", "tune", "goals", "scenarios", "risk", "pareto"))
         tune, goals = dict(data.get("tune", {})), dict(data.get("goals", {}))
         free = _free(tune.pop("free", dict.fromkeys(FREE, True)))
         for kind, table, name in (

@@ -1,7 +1,7 @@
 """Do the levels of the ladder tell good controllers from bad ones alike?"""
 
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -41,12 +41,14 @@ class Agreement(NamedTuple):
     @property
     def pairs(self) -> list[Pair]:
         """Every two levels."""
+        from scipy.stats import spearmanr
+
         found = []
         for i, j in combinations(range(len(self.levels)), 2):
             both = np.isfinite(self.score[i]) & np.isfinite(self.score[j])
             rank, ratio = np.nan, np.nan
             if both.sum() >= 3:
-                rank = spearman(self.score[i, both], self.score[j, both])
+                rank = float(spearmanr(self.score[i, both], self.score[j, both]).statistic)
                 ratio = float(np.median(self.worst[j, both] / self.worst[i, both]))
             found.append(Pair(self.levels[i], self.levels[j], rank, ratio))
         return found
@@ -72,9 +74,3 @@ def agreement(result: TuneResult) -> Agreement | None:
     score = np.where(held, np.stack([values.score for values in seen]), np.nan)
     return Agreement(tuple(last), np.array(origin)[kept], score, np.where(held, worst, np.nan))
 
-
-def spearman(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
-    """Spearman's rank correlation of values without ties [-]."""
-    ranks = np.argsort(np.argsort(np.stack([x, y]), axis=1), axis=1)
-    correlation: Any = np.corrcoef(ranks)
-    return float(correlation[0, 1])

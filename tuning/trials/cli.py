@@ -85,18 +85,19 @@ def _drawn_from(job: "Job") -> str:
 
 def _tables(job: "Job", names: list[str], found: "Outcomes") -> None:
     import numpy as np
+    from scipy.stats import binomtest
 
     from jaxmpc.status import Status
     from jaxmpc.terminal.tables import number, show
     from tuning.trials import motion_of
-    from tuning.trials.report import draws, pairs, ranked, wilson
+    from tuning.trials.report import draws, pairs, ranked
 
     count, unstable = len(found.status), found.unstable
     motions = np.array([motion_of(i) for i in range(count)])
     rows, reasons = [], []
     for c, name in enumerate(names):
         hits = int(unstable[:, c].sum())
-        low, high = (f"{100 * share:.3f}" for share in wilson(hits, count))
+        low, high = (f"{100 * share:.3f}" for share in binomtest(hits, count).proportion_ci(method="wilson"))
         hearts = f"{len(set(motions[unstable[:, c]]))} of {len(set(motions))}"
         peak = np.nan_to_num(found.peak_error[:, c].max(axis=-1), nan=np.inf)
         # Of the sorted values, not between them: some may be infinite.

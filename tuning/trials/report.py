@@ -3,7 +3,6 @@
 import csv
 import io
 from collections.abc import Sequence
-from math import sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,26 +15,6 @@ from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
 from jaxmpc.status import Status
 from tuning.job.scenarios import describe
 from tuning.trials import LARGEST_ERROR, Job, Outcomes
-
-Z_95 = 1.959963984540054
-"""Two-sided 95 % point of the normal distribution."""
-
-
-def wilson(hits: int, trials: int, z: float = Z_95) -> tuple[float, float]:
-    """Wilson's score interval of a fraction: those p that the z test does not reject.
-
-    Args:
-        hits: How often it happened.
-        trials: Out of how many, at least 1.
-        z: Point of the normal distribution.
-
-    Source: Wilson, J. Am. Stat. Assoc. 22, 209–212 (1927).
-    """
-    share, weight = hits / trials, z * z / trials
-    middle, half = share + weight / 2.0, z * sqrt(share * (1.0 - share) / trials + weight / (4.0 * trials))
-    # At the ends the bound is exact, but for rounding.
-    low = 0.0 if hits == 0 else (middle - half) / (1.0 + weight)
-    return low, 1.0 if hits == trials else (middle + half) / (1.0 + weight)
 
 
 class Pairs(NamedTuple):
