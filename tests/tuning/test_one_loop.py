@@ -7,13 +7,13 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from tuning.objective.designed import designed
 
 from deploy.controller.artifact import load
 from jaxmpc import Experiment, InputError, Params, evaluate, margins
 from jaxmpc.cli.freeze import freeze_controller
 from jaxmpc.experiment.experiment import SensorSettings
 from tuning import TuneSpec
-from tuning.objective.designed import designed
 from tuning.objective.problem import problem_of, training
 
 STIFFNESS = (375.0, 810.0)

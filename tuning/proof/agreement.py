@@ -73,4 +73,3 @@ def agreement(result: TuneResult) -> Agreement | None:
     held = worst < LOST
     score = np.where(held, np.stack([values.score for values in seen]), np.nan)
     return Agreement(tuple(last), np.array(origin)[kept], score, np.where(held, worst, np.nan))
-
