@@ -46,10 +46,12 @@ class Outcome(NamedTuple):
     margins: Margins
     """Margins of the loop as the experiment runs it, shape (…, stiffness)."""
     status: Int[Array, "..."]
-    """A `Status` per stiffness: that of the margins; DIVERGED where a stable loop still ran away; LOST_CONTACT,
-    with metrics, where the tip left a tissue that does not hold it."""
+    """A `Status` per stiffness: that of the margins; DIVERGED where a stable loop still ran away; with metrics,
+    FORCE_LIMIT where force or residual left its limit, and LOST_CONTACT where the tip left a tissue that does not hold
+    it."""
     when: Float[Array, "..."]
-    """When it diverged (on the linear loop to 125 samples) or lost contact [s]; NaN where it did neither."""
+    """When it diverged, left a limit (both on the linear loop to 125 samples) or lost contact [s]; NaN where it did
+    none of these."""
     trace: Sample | ArmSample | None
     """Every sample, shape (…, stiffness, 3, steps), if asked for."""
 
@@ -104,28 +106,32 @@ def lasted_per_motion(run: CellResults) -> Any:
     return finite & jnp.all(per_motion(run.metrics.peak_force) < HIGHEST_FORCE, axis=-1)
 
 
-def verdict(judged: Any, lasted: Any, diverged: Any, lost_contact: Any) -> tuple[Any, Any]:
+def verdict(judged: Any, lasted: Any, diverged: Any, over_limit: Any, lost_contact: Any) -> tuple[Any, Any]:
     """Status and moment of each run, by the one rule: what the margins say comes first, then how the run ended.
 
     Args:
         judged: A `Status` of the margins.
         lasted: Whether the run stayed finite and in bounds to its end.
         diverged: When it did not; ∞ if never [s].
+        over_limit: When the force or the residual left its limit; ∞ if never [s].
         lost_contact: When the tip left the tissue; ∞ if never [s].
 
     Returns:
-        A `Status`; and when contact was lost, if that is the status, else when the run diverged, NaN if never [s].
+        A `Status`; and when what it says happened, with that of the margins when the run diverged; NaN if never [s].
     """
     status = jnp.where((judged == Status.OK) & ~lasted, Status.DIVERGED, judged)
-    status = jnp.where((status == Status.OK) & jnp.isfinite(lost_contact), Status.LOST_CONTACT, status)
-    when = jnp.where(status == Status.LOST_CONTACT, lost_contact, diverged)
+    when = diverged
+    for name, moment in ((Status.FORCE_LIMIT, over_limit), (Status.LOST_CONTACT, lost_contact)):
+        happened = (status == Status.OK) & jnp.isfinite(moment)
+        status, when = jnp.where(happened, name, status), jnp.where(happened, moment, when)
     return status, jnp.where(jnp.isinf(when), jnp.nan, when)
 
 
 def outcome_of(margins: Margins, run: CellResults) -> Outcome:
     """What margins and run say together; traceable."""
     lasted = jnp.all(lasted_per_motion(run), axis=-1)
-    status, when = verdict(margins.status, lasted, run.diverged.min(axis=-1), run.lost_contact.min(axis=-1))
+    moments = (times.min(axis=-1) for times in (run.diverged, run.over_limit, run.lost_contact))
+    status, when = verdict(margins.status, lasted, *moments)
     usable = ((margins.status == Status.OK) & lasted)[..., None]
     held: Metrics = jax.tree.map(lambda value: jnp.where(usable, value, jnp.nan), run.metrics)
     return Outcome(held, margins, status, when, run.trace)

@@ -19,6 +19,8 @@ class Totals(NamedTuple):
     change_squared: Lane
     highest_force: Lane
     """Over all samples, also those that do not count [N]."""
+    largest_error: Lane
+    """The same of |error| [N]."""
 
 
 class Metrics(NamedTuple):
@@ -36,12 +38,14 @@ class Metrics(NamedTuple):
     """Largest measured |force| over the whole run [N]."""
     peak_error: Float[Array, "..."]
     """Largest |residual| [N]."""
+    clamped: Float[Array, "..."]
+    """Share of all samples at which a torque limit acted, the same on each axis [-]."""
 
 
 def nothing(like: Lane) -> Totals:
     """Totals before the first sample."""
     zero = 0.0 * like
-    return Totals(zero, zero - inf, zero + inf, zero, zero, zero)
+    return Totals(zero, zero - inf, zero + inf, zero, zero, zero, zero)
 
 
 def add(totals: Totals, counts: Any, error: Lane, a: Lane, change: Lane, force: Lane, ops: Any) -> Totals:
@@ -64,6 +68,7 @@ def add(totals: Totals, counts: Any, error: Lane, a: Lane, change: Lane, force: 
         totals.acceleration_squared + weight * a * a,
         totals.change_squared + weight * change * change,
         ops.maximum(totals.highest_force, abs(force)),
+        ops.maximum(totals.largest_error, abs(error)),
     )
 
 
@@ -76,15 +81,17 @@ def merge(first: Totals, second: Totals, ops: Any) -> Totals:
         first.acceleration_squared + second.acceleration_squared,
         first.change_squared + second.change_squared,
         ops.maximum(first.highest_force, second.highest_force),
+        ops.maximum(first.largest_error, second.largest_error),
     )
 
 
-def metrics(totals: Totals, samples: Lane, ops: Any) -> Metrics:
+def metrics(totals: Totals, samples: Lane, clamped: Lane, ops: Any) -> Metrics:
     """Metrics of a finished run.
 
     Args:
         totals: Over the run.
         samples: How many samples counted; broadcasts against the totals.
+        clamped: Share of all samples at which a torque limit acted [-].
         ops: Scalar functions.
     """
 
@@ -100,4 +107,5 @@ def metrics(totals: Totals, samples: Lane, ops: Any) -> Metrics:
         chatter=root_mean(totals.change_squared),
         peak_force=totals.highest_force,
         peak_error=ops.maximum(totals.highest_error, -totals.lowest_error),
+        clamped=clamped,
     )

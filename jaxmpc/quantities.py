@@ -132,6 +132,15 @@ METRICS = _table(
     Metric("chatter", "m/s²", "its change from sample to sample, root mean square", r"$\Delta a$", spectral=True),
     Metric("peak_force", "N", "largest force over the whole run", "$|y|$", head="peak force"),
     Metric("peak_error", "N", "largest residual force", "$|e|$", "ceiling", "peak error", "mN", 1e3, 1, crest=3.0),
+    Metric(
+        "clamped",
+        "-",
+        "share of samples at which a torque limit acted",
+        "clamped",
+        head="clamped",
+        shown_unit="%",
+        times=100.0,
+    ),
 )
 """Fields of `jaxmpc.metrics.Metrics`."""
 

@@ -11,6 +11,7 @@ class Status(enum.IntEnum):
     DIVERGED = 2
     ILL_POSED = 3
     LOST_CONTACT = 4
+    FORCE_LIMIT = 5
 
     @property
     def sentence(self) -> str:
@@ -19,6 +20,7 @@ class Status(enum.IntEnum):
             Status.OK: "stable, and the run stayed finite",
             Status.UNSTABLE: "the linear loop has a pole on or outside the unit circle",
             Status.DIVERGED: "the run left the finite numbers or 1 kN",
+            Status.FORCE_LIMIT: "the residual left 20 N, or the measured force its limit",
             Status.LOST_CONTACT: "the tip left the tissue",
             Status.ILL_POSED: "the Riccati equation of the observer has no usable solution",
         }[self]

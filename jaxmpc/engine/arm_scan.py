@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxmpc.engine.linear_scan import STRETCH
+from jaxmpc.engine.linear_scan import over_stretches
 from jaxmpc.law.cascade import Gains
 from jaxmpc.loop.arm import (
     ArmCarry,
@@ -37,6 +37,7 @@ def over_arm_cells(
     robot: Robot,
     stiffness: Any,
     signals: ArmSignals,
+    force_limit: Any,
     traced: bool,
     transform: Transform,
 ) -> tuple[Metrics, Trouble, ArmSample | None]:
@@ -52,6 +53,7 @@ def over_arm_cells(
             is left open.
         stiffness: (tissues,) or (motions, tissues) [N/m].
         signals: With the motions as leading dimension.
+        force_limit: Largest measured force of a run that is fine [N].
         traced: Keep every sample.
         transform: Applied to the step.
 
@@ -73,7 +75,7 @@ def over_arm_cells(
     cells = Cell(jax.tree.map(everywhere, gains), everywhere(K2), on_tissues)
     # Every operation is elementwise, so arrays may stand for the scalars of the law; vmap traces three times longer.
     met = ArmSignals(*(jnp.moveaxis(signal, 0, -1)[..., None, None] for signal in signals))
-    found, trouble, samples = run(loop, cells, met, traced, transform)
+    found, trouble, samples = run(loop, cells, met, force_limit, traced, transform)
 
     def per_cell(leaf: Any) -> Any:
         return jnp.transpose(leaf, (3, 2, 1, 0)).reshape(*shape[:0:-1], 3 * motions)
@@ -89,22 +91,15 @@ def over_arm_cells(
 
 
 def run(
-    loop: ArmLoop, cell: Cell, signals: ArmSignals, traced: bool, transform: Transform
+    loop: ArmLoop, cell: Cell, signals: ArmSignals, force_limit: Any, traced: bool, transform: Transform
 ) -> tuple[Metrics, Trouble, ArmSample | None]:
     """Metrics per axis, first troubles and, if wanted, every sample of one cell.
 
     Each sample is one checkpoint of the reverse mode, which then holds the carry of every step and no more.
     """
-    steps = len(signals.time)
-    full = -(-steps // STRETCH) * STRETCH
-
-    def stretches(signal: Array) -> Array:
-        # The last sample goes on beyond the end: its score is 0, so it changes no metric.
-        padded = jnp.pad(signal, [(0, full - steps)] + [(0, 0)] * (signal.ndim - 1), mode="edge")
-        return padded.reshape(-1, STRETCH, *signal.shape[1:])
 
     def one(state: Any, raw: ArmSignals) -> tuple[Any, ArmSample | None]:
-        carry, totals, trouble = state
+        carry, (totals, clamped), trouble = state
         now, opaque = at_one_sample(raw), 1.0 + 0.0 * raw.time.ravel()[0]
         following, sample = transform(partial(advance, loop, ops=ops), opaque)(cell, carry, now)
         totals = tuple(
@@ -113,26 +108,27 @@ def run(
                 totals, now.score, sample.force, now.force_ref, sample.a, carry.a, strict=True
             )
         )
-        trouble = noticed(trouble, sample, now, ops)
-        return (following, totals, trouble), sample._replace(force_ref=raw.force_ref) if traced else None
+        trouble = noticed(trouble, sample, now, force_limit, ops)
+        kept = sample._replace(force_ref=raw.force_ref) if traced else None
+        return (following, (totals, clamped), trouble), kept
 
     def stretch(state: Any, part: ArmSignals) -> tuple[Any, ArmSample | None]:
-        carry, totals, trouble = state
+        carry, (totals, clamped), trouble = state
         (carry, partial, trouble), samples = jax.lax.scan(jax.checkpoint(one), (carry, empty, trouble), part)
-        totals = tuple(merge(*pair, ops) for pair in zip(totals, partial, strict=True))
-        return (carry, totals, trouble), samples
+        totals = tuple(merge(*pair, ops) for pair in zip(totals, partial[0], strict=True))
+        return (carry, (totals, clamped + partial[1]), trouble), samples
 
-    empty: tuple[Totals, ...] = (nothing(0.0 * cell.K2),) * 3
-    parts = ArmSignals(*map(stretches, signals))
-    parts = parts._replace(score=parts.score.at[-1, STRETCH - (full - steps) :].set(0.0)) if full > steps else parts
-    begin: tuple[ArmCarry, Any, Trouble] = start(loop, cell, ops), empty, untroubled(cell.K2)
-    (_, totals, trouble), samples = jax.lax.scan(stretch, begin, parts)
-    count = jnp.sum(signals.score, axis=0)
-    found = [metrics(total, count[i], ops) for i, total in enumerate(totals)]
+    zero = 0.0 * cell.K2
+    empty: tuple[tuple[Totals, ...], Any] = (nothing(zero),) * 3, zero
+    begin: tuple[ArmCarry, Any, Trouble] = start(loop, cell, ops), empty, untroubled(zero)
+    (_, (totals, clamped), trouble), samples = over_stretches(stretch, begin, signals)
+    count, share = jnp.sum(signals.score, axis=0), clamped / len(signals.time)
+    found = [metrics(total, count[i], share, ops) for i, total in enumerate(totals)]
     per_axis: Metrics = jax.tree.map(lambda *axes: jnp.stack(axes), *found)
-    if traced:
-        samples = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:steps], samples)
-    return per_axis, trouble, samples
+    if not traced:
+        return per_axis, trouble, None
+    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), samples)
+    return per_axis, trouble, jax.tree.map(lambda *parts: jnp.concatenate(parts), *flat)
 
 
 def at_one_sample(now: ArmSignals) -> ArmSignals:

@@ -36,6 +36,8 @@ class ScenarioData(NamedTuple):
     signals: AxisSignals | ArmSignals
     """Signals of the linear world with the axes first, of the arm with the motions first."""
     lsb: Any
+    force_limit: Any
+    """Largest measured force of a run that is fine [N]."""
     robot: Robot | None
     path: LoopPath
 
@@ -48,6 +50,8 @@ class CellResults(NamedTuple):
     diverged: Any
     """When a run left the finite numbers or `HIGHEST_FORCE`, (controllers, stiffness, runs); ∞ if never [s]. A run is a
     motion on the arm, and on the linear loop an axis of one."""
+    over_limit: Any
+    """When the measured force left its limit or the residual 20 N; ∞ if never [s]."""
     lost_contact: Any
     """When the tip left the tissue; ∞ if never [s]."""
     trace: Sample | ArmSample | None

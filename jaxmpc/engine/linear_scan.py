@@ -1,6 +1,7 @@
 """The linear loop over time as a scan, over every controller, stiffness and axis."""
 
 from collections.abc import Callable
+from math import inf
 from typing import Any
 
 import jax
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxmpc.law.cascade import Gains
-from jaxmpc.loop.linear import HIGHEST_FORCE, AxisSignals, LinearCarry, Sample, advance, start
+from jaxmpc.loop.linear import HIGHEST_ERROR, HIGHEST_FORCE, AxisSignals, LinearCarry, Sample, advance, start
 from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, nothing
 from jaxmpc.world.contact import Contact
 from jaxmpc.xla import ops
@@ -17,8 +18,10 @@ STRETCH = 125
 """Samples between two checkpoints of the reverse mode and two partial sums of the metrics."""
 
 
-def over_cells(function: Callable[..., Any], gains: Gains, contacts: Contact, lsb: Any, signals: AxisSignals) -> Any:
-    """f(gains, contact, lsb, signals) for every cell of a batch.
+def over_cells(
+    function: Callable[..., Any], gains: Gains, contacts: Contact, lsb: Any, signals: AxisSignals, *shared: Any
+) -> Any:
+    """f(gains, contact, lsb, signals, …) for every cell of a batch.
 
     Controllers are the innermost dimension of the computation: they alone differ in everything and are
     many, so each operation runs over contiguous memory (three axes innermost cost a factor of three).
@@ -29,28 +32,30 @@ def over_cells(function: Callable[..., Any], gains: Gains, contacts: Contact, ls
         contacts: Each (controllers, stiffnesses).
         lsb: Quantisation per axis, (3,) [N].
         signals: Axis first, (3, steps, …); its acceleration may be None.
+        shared: What is the same for all.
 
     Returns:
         What the function returns, with leading dimensions (controllers, stiffnesses, 3).
     """
-    over_controllers = jax.vmap(function, in_axes=(0, 0, None, None))
+
+    def one(*cell: Any) -> Any:
+        return function(*cell, *shared)
+
+    over_controllers = jax.vmap(one, in_axes=(0, 0, None, None))
     over_axes = jax.vmap(over_controllers, in_axes=(None, None, 0, 0))
     over_stiffness = jax.vmap(over_axes, in_axes=(None, 1, None, None))
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 2, 0), over_stiffness(gains, contacts, lsb, signals))
 
 
-def run(gains: Gains, contact: Contact, lsb: Any, signals: AxisSignals) -> tuple[Metrics, Any]:
-    """Metrics of one axis over a whole experiment, and when its force left 1 kN, ∞ if never [s].
+def run(
+    gains: Gains, contact: Contact, lsb: Any, signals: AxisSignals, force_limit: Any = inf
+) -> tuple[Metrics, Any, Any]:
+    """Metrics of one axis over a whole experiment, and when it left 1 kN and its limits, ∞ if never [s].
 
     Time runs in stretches: each is one checkpoint of the reverse mode and one partial sum, so that
-    gradients need the memory of √steps states and float32 sums keep their digits.
+    gradients need the memory of √steps states and float32 sums keep their digits. A moment is told to one stretch: a
+    flag per sample would cost every run what only a lost one needs.
     """
-    steps = len(signals.heart)
-    full = -(-steps // STRETCH) * STRETCH
-
-    def stretches(signal: Array) -> Array:
-        padded = jnp.pad(signal, [(0, full - steps)] + [(0, 0)] * (signal.ndim - 1))
-        return padded.reshape(-1, STRETCH, *signal.shape[1:])
 
     def one(state: tuple[LinearCarry, Totals], now: AxisSignals) -> tuple[tuple[LinearCarry, Totals], None]:
         carry, totals = state
@@ -63,14 +68,40 @@ def run(gains: Gains, contact: Contact, lsb: Any, signals: AxisSignals) -> tuple
     def stretch(state: tuple[LinearCarry, Totals], part: AxisSignals) -> tuple[tuple[LinearCarry, Totals], Any]:
         carry, totals = state
         (carry, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, empty), part)
-        return (carry, merge(totals, partial, ops)), ~(partial.highest_force < HIGHEST_FORCE)
+        within = (partial.highest_force < force_limit) & (partial.largest_error < HIGHEST_ERROR)
+        return (carry, merge(totals, partial, ops)), (~(partial.highest_force < HIGHEST_FORCE), ~within)
+
+    def first(flags: Array) -> Array:
+        return jnp.where(jnp.any(flags), STRETCH * jnp.argmax(flags) * contact.T_s, jnp.inf)
 
     empty = nothing(jnp.zeros_like(gains.mpc_u))
-    parts = jax.tree.map(stretches, signals)
-    (_, totals), away = jax.lax.scan(stretch, (start(gains), empty), parts)
-    # To one stretch: a flag per sample would cost every run what only a lost one needs.
-    when = jnp.where(jnp.any(away), STRETCH * jnp.argmax(away) * contact.T_s, jnp.inf)
-    return metrics(totals, jnp.sum(signals.score), ops), when
+    (_, totals), flags = over_stretches(stretch, (start(gains), empty), signals)
+    diverged, over = (jnp.concatenate(parts) for parts in zip(*flags, strict=True))
+    found = metrics(totals, jnp.sum(signals.score), jnp.zeros_like(gains.mpc_u), ops)
+    return found, first(diverged), first(over)
+
+
+def over_stretches(stretch: Callable[..., Any], state: Any, signals: Any) -> tuple[Any, list[Any]]:
+    """Scan whole stretches of time, then what is left of it.
+
+    Args:
+        stretch: f(state, signals of a stretch) → state, what is kept.
+        state: At the beginning.
+        signals: With the steps as leading dimension.
+
+    Returns:
+        The state at the end, and what was kept, each part with the stretches as leading dimension.
+    """
+    steps = len(jax.tree.leaves(signals)[0])
+    whole, kept = steps - steps % STRETCH, []
+    if whole:
+        parts = jax.tree.map(lambda signal: signal[:whole].reshape(-1, STRETCH, *signal.shape[1:]), signals)
+        state, found = jax.lax.scan(stretch, state, parts)
+        kept.append(found)
+    if whole < steps:
+        state, found = stretch(state, jax.tree.map(lambda signal: signal[whole:], signals))
+        kept.append(jax.tree.map(lambda leaf: leaf[None], found))
+    return state, kept
 
 
 def record(gains: Gains, contact: Contact, lsb: Any, signals: AxisSignals) -> Sample:

@@ -34,10 +34,10 @@ class Scan(Engine):
         gains = scalars(gains, spec.preview)
         if spec.robot is not None:
             return on_arm(spec, implicit, sharing, gains, K2, data, dtype, traced)
-        cells = as_dtype((gains, contacts, data.lsb, data.signals), dtype)
-        metrics, diverged = over_cells(run, *cells)
+        cells = as_dtype((gains, contacts, data.lsb, data.signals, data.force_limit), dtype)
+        metrics, diverged, over_limit = over_cells(run, *cells)
         never = diverged + inf
-        return CellResults(metrics, diverged, never, over_cells(record, *cells) if traced else None)
+        return CellResults(metrics, diverged, over_limit, never, over_cells(record, *cells[:-1]) if traced else None)
 
 
 def on_arm(
@@ -53,6 +53,6 @@ def on_arm(
     """The arm as a scan; `simulate` with gains taken apart, whatever the engine's way to joint accelerations."""
     assert spec.robot is not None
     loop = ArmLoop(chain(), spec.robot, accelerate)
-    gains, K2, robot, stiffness, signals = as_dtype((gains, K2, data.robot, data.stiffness, data.signals), dtype)
-    metrics, trouble, samples = over_arm_cells(loop, gains, K2, robot, stiffness, signals, traced, transform)
-    return CellResults(metrics, trouble.diverged, trouble.lost_contact, samples)
+    gains, K2, *met = as_dtype((gains, K2, data.robot, data.stiffness, data.signals, data.force_limit), dtype)
+    metrics, trouble, samples = over_arm_cells(loop, gains, K2, *met, traced, transform)
+    return CellResults(metrics, *trouble, samples)

@@ -30,6 +30,7 @@ def scenario_data(experiment: Experiment) -> ScenarioData:
         np.asarray(experiment.stiffness),
         _arm_signals(experiment) if on_arm else _axis_signals(experiment),
         np.asarray(experiment.sensor.lsb),
+        experiment.force_limit,
         robot_of(experiment) if on_arm else None,
         experiment.loop_path(),
     )

@@ -68,6 +68,9 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     """T_s [s]."""
     delay: Annotated[int, msgspec.Meta(ge=1, le=2)] = 1
     """Samples between a command and its effect [samples]."""
+    force_limit: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 15.0
+    """Largest measured force of a run that is fine, as the robot's default limit has it: the Euclidean norm on the arm,
+    on the linear loop each axis [N]."""
     motion: Motion = Motion()
     reference: Reference = Reference()
     sensor: SensorSettings = SensorSettings()

@@ -1,14 +1,14 @@
 """One sample of the closed loop on the arm: law, drives, robot and heart, one cell of a batch."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from math import inf
 from typing import Any, NamedTuple
 
 from jaxmpc.law import cascade, force_control
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
-from jaxmpc.law.scalar import Scalar, Vector
-from jaxmpc.loop.linear import HIGHEST_FORCE
+from jaxmpc.law.scalar import Scalar
+from jaxmpc.loop.linear import HIGHEST_ERROR, HIGHEST_FORCE
 from jaxmpc.world import drive, robot
 from jaxmpc.world.robot import Accelerate, Robot, RobotState, RobotStructure
 
@@ -63,6 +63,8 @@ class Trouble(NamedTuple):
     """When something happened first [s]; ∞ if it did not."""
 
     diverged: Any
+    over_limit: Any
+    """The measured force, Euclidean norm, left its limit or the residual of an axis `HIGHEST_ERROR`."""
     lost_contact: Any
 
 
@@ -152,21 +154,26 @@ def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: An
 def untroubled(like: Scalar) -> Trouble:
     """Nothing has happened yet; in the form of a finite number or batch."""
     never = 0.0 * like + inf
-    return Trouble(never, never)
+    return Trouble(never, never, never)
 
 
-def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, ops: Any) -> Trouble:
+def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, force_limit: Scalar, ops: Any) -> Trouble:
     """What has happened first, this sample included."""
+    x, y, z = sample.force
+    force = ops.sqrt(x * x + y * y + z * z)
+    error = _largest((y - wanted[0] for y, wanted in zip(sample.force, now.force_ref, strict=True)), ops)
+    over = ops.where(force < force_limit, ops.where(error < HIGHEST_ERROR, inf, now.time), now.time)
     largest = _largest(sample.force, ops)
     indented = now.heart.position[2] - sample.tip[2]
     lost = ops.where(now.watch > 0.0, now.time, inf)
     return Trouble(
         # A comparison with what is no number is false.
         ops.minimum(trouble.diverged, ops.where(largest < HIGHEST_FORCE, inf, now.time)),
+        ops.minimum(trouble.over_limit, over),
         ops.minimum(trouble.lost_contact, ops.where(indented < 0.0, lost, inf)),
     )
 
 
-def _largest(values: Vector | Sequence[Scalar], ops: Any) -> Scalar:
+def _largest(values: Iterable[Scalar], ops: Any) -> Scalar:
     x, y, z = map(abs, values)
     return ops.maximum(ops.maximum(x, y), z)

@@ -13,6 +13,8 @@ Scalar = Any
 
 HIGHEST_FORCE = 1e3
 """A run whose force leaves this has diverged [N]."""
+HIGHEST_ERROR = 20.0
+"""A run whose residual leaves this is beyond the force limit, as is one whose force leaves the experiment's [N]."""
 
 
 class AxisSignals(NamedTuple):

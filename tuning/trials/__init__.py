@@ -129,7 +129,7 @@ class Outcomes(NamedTuple):
     status: np.ndarray
     """A `Status`: UNSTABLE where the linear loop of that tissue and delay is, whatever the arm's friction held."""
     when: np.ndarray
-    """When the run diverged or the tip left the tissue; NaN where neither [s]."""
+    """When that happened, or for a status of the linear loop when the run diverged; NaN where it did not [s]."""
     spectral_radius: np.ndarray
     """Spectral radius of the linear loop [-]."""
     rms: np.ndarray
@@ -219,7 +219,7 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
         for members in by_structure(job.controllers):
             program = block_program(program_spec(base), varied, structure)
             batch = Params.stack([job.controllers[i] for i in members])
-            shared = batch, constant, base.loop_path()
+            shared = batch, constant, base.loop_path(), base.force_limit
             outcomes = program((signals, own), shared)
             found |= {i: [field[:, :, c] for field in outcomes] for c, i in enumerate(members)}
         ordered = [np.stack(fields, 2) for fields in zip(*(found[i] for i in sorted(found)), strict=True)]

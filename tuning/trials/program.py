@@ -22,7 +22,7 @@ AT_A_TIME = 12
 
 @lru_cache(maxsize=8)
 def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) -> Callable[..., Any]:
-    """A compiled function of ((signals, own), (params, constant, path)).
+    """A compiled function of ((signals, own), (params, constant, path, force_limit)).
 
     Args:
         spec: Structure of a trial's program.
@@ -37,7 +37,7 @@ def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) ->
     """
 
     def block(batch: Any, shared: Any) -> Any:
-        (signals, own), (params, constant, path) = batch, shared
+        (signals, own), (params, constant, path, force_limit) = batch, shared
         gains, residual = jax.vmap(lambda p: design_one(p, path.T_s))(params)
         leaves = list(constant)
         for k, values in zip(varied, own, strict=True):
@@ -54,10 +54,11 @@ def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) ->
         over_motions = jax.vmap(over_copies, in_axes=(0, 0, None, None))
         radii = over_motions(stiffness, jnp.broadcast_to(robot.extra_delay, cells), gains, params.K2)
 
-        loops, data = ClosedLoops(gains, params.K2, None, residual), ScenarioData(stiffness, signals, None, robot, path)
-        run = run_loops(loops, data, world=spec, dtype="float64")
+        data = ScenarioData(stiffness, signals, None, force_limit, robot, path)
+        run = run_loops(ClosedLoops(gains, params.K2, None, residual), data, world=spec, dtype="float64")
         lasted = lasted_per_motion(run).T
-        status, when = verdict(stability_status(radii, residual), lasted, run.diverged.T, run.lost_contact.T)
+        moments = run.diverged.T, run.over_limit.T, run.lost_contact.T
+        status, when = verdict(stability_status(radii, residual), lasted, *moments)
 
         def per_trial(field: Any) -> Any:
             """With dimensions (motions, copies, controllers, 3), NaN where the run did not last."""
