@@ -86,8 +86,11 @@ def _ahead(experiment: Experiment, wanted: np.ndarray) -> np.ndarray:
 def with_physics(experiment: Experiment, physics: str | None) -> Experiment:
     """The same experiment in another physics; stock MJX brings its own integrator."""
     if physics is None:
+        experiment.check_world()
         return experiment
     changed: dict[str, Any] = {"physics": physics}
     if physics == "mjx":
         changed["arm"] = msgspec.structs.replace(experiment.arm, integrator="euler")
-    return msgspec.structs.replace(experiment, **changed)
+    found = msgspec.structs.replace(experiment, **changed)
+    found.check_world()
+    return found

@@ -167,7 +167,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         for key, kind in tables.items():
             if isinstance(table := data.get(key), dict):
                 known_keys(kind, table, f"{root}.{key}".lstrip("."))
-        experiment = convert(data, Experiment, root)
+        experiment: Experiment = convert(data, Experiment, root)
+        experiment.check_world()
         if experiment.motion.file and folder is not None:
             found = str(folder / experiment.motion.file)
             motion = msgspec.structs.replace(experiment.motion, file=found)
@@ -177,6 +178,17 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         if experiment.physics != "linear":
             experiment.arm.resting()
         return experiment
+
+    def check_world(self) -> None:
+        """Refuse what the linear world would leave out without a word.
+
+        Raises:
+            InputError: The tissue is no spring that holds the tip and stays as it is.
+        """
+        if self.physics == "linear" and not self.tissue.linear:
+            bound = "elastic, attached and unchanged on the linear loop"
+            remedy = 'Set physics = "wam", or leave the table [tissue] as it is.'
+            raise InputError("tissue.kind", self.tissue.kind, bound, remedy)
 
     def with_seed(self, seed: int) -> "Experiment":
         """The same experiment with the phases of the motion and the sensor noise drawn anew."""

@@ -4,12 +4,12 @@ The defaults are the nominal imperfect arm on the paper's elastic tissue. Every 
 itself with a zero.
 """
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.law.computed_torque import Nominal
 from jaxmpc.law.friction_compensation import NominalFriction
 from jaxmpc.law.scalar import Vector
@@ -18,7 +18,8 @@ from jaxmpc.world.arm import TOOL_MASS, joint_ranges, link_inertias, posture_at,
 from jaxmpc.world.friction import Friction
 from jaxmpc.world.robot import Cable, Robot, RobotStructure
 from jaxmpc.world.sensor import SensorModel
-from jaxmpc.world.tissue import KINDS, Tissue
+from jaxmpc.world.tissue import LAWS, Tissue
+from jaxmpc.world.tissue.base import TissueConstant
 
 if TYPE_CHECKING:
     from jaxmpc.experiment.experiment import Experiment
@@ -43,22 +44,42 @@ class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How long it takes [s]."""
 
 
-class TissueSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the tip presses on; the stiffness itself is the experiment's."""
+def _key(constant: TissueConstant) -> tuple[str, Any, Any]:
+    """Name, type and default of a key."""
+    number = Annotated[float, msgspec.Meta(ge=constant.low, le=constant.high)]
+    several = isinstance(constant.default, tuple)
+    return constant.name, tuple[(number,) * len(constant.default)] if several else number, constant.default
 
-    kind: Literal["elastic", "kelvin-voigt", "standard-linear", "hunt-crossley", "fung"] = "elastic"
+
+_TissueConstants: Any = msgspec.defstruct(
+    "_TissueConstants", [_key(constant) for law in LAWS.values() for constant in law.parameters]
+)
+"""The constants of every law: each reads its own."""
+
+
+class TissueSettings(_TissueConstants, frozen=True, forbid_unknown_fields=True):  # type: ignore[misc]  # made above
+    """What the tip presses on; the stiffness itself is the experiment's, the constants are those of the laws."""
+
+    kind: str = "elastic"
+    """Name of a law of `jaxmpc.world.tissue`."""
     attached: bool = True
     """Whether it holds the tip, as in the paper; else contact can be lost."""
-    viscosity: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 3.0
-    """Viscosity of "kelvin-voigt" [N s/m]."""
-    relaxing: Annotated[float, msgspec.Meta(ge=0.0, le=0.95)] = 0.25
-    """Share of the stiffness that relaxes in "standard-linear" [-]."""
-    time_constants: tuple[Positive, Positive] = (0.1, 1.0)
-    """Time constants of its two branches [s]."""
-    dissipation: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.5
-    """Dissipation of "hunt-crossley" [s/m]."""
     changes: tuple[Change, ...] = ()
     """Changes of stiffness under way, in order of time."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in LAWS:
+            raise InputError("tissue.kind", self.kind, "a known law", nearest(self.kind, list(LAWS)))
+
+    @property
+    def constants(self) -> tuple[Any, ...]:
+        """Constants of its own law."""
+        return tuple(getattr(self, constant.name) for constant in LAWS[self.kind].parameters)
+
+    @property
+    def linear(self) -> bool:
+        """Whether the linear world can have it: a spring that holds the tip and stays as it is."""
+        return self.kind == "elastic" and self.attached and not self.changes
 
 
 class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -129,7 +150,6 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def kind_of(arm: ArmSettings, tissue: TissueSettings, kalman: bool) -> RobotStructure:
     """What of the settings makes a program of its own."""
-    assert tissue.kind in KINDS
     cable, tool_inertia = arm.cable_hz > 0.0, arm.beyond_sensor > 0.0
     structure = cable, kalman, tool_inertia, arm.integrator, arm.substeps, arm.compensation > 0.0
     return RobotStructure(tissue.kind, tissue.attached, *structure)
@@ -166,7 +186,7 @@ def robot_of(experiment: "Experiment") -> Robot:
             arm.beyond_sensor,
             kalman_gains(sensor.kalman, sensor.noise, T_s) if sensor.kalman else (1.0, 0.0),
         ),
-        tissue=Tissue(0.0, tissue.viscosity, tissue.relaxing, *tissue.time_constants, tissue.dissipation),
+        tissue=Tissue(0.0, tissue.constants),
         nominal=Nominal(
             1.0 + arm.mass_error,
             arm.tool_mass_error,

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 
 from jaxmpc import Experiment, InputError
+from jaxmpc.engine.scenario import with_physics
 from jaxmpc.experiment.tables import ArmSettings, TissueSettings, robot_of, softening
 from jaxmpc.world.arm import JOINTS, TOOL_MASS, joint_ranges, link_inertias, model, tip_at
 
@@ -52,7 +53,7 @@ def refused(folder: Path, text: str) -> InputError:
         ("[arm]\nsubsteps = 0", 3, "arm.substeps", 0, ">= 1", "Correct"),
         ("[arm]\nmass_error = -0.9", 3, "arm.mass_error", -0.9, "> -0.9", "Correct"),
         ("[arm]\ncolomb = [1.0, 1.0, 1.0, 1.0]", 3, "arm.colomb", "[1.0, 1.0, 1.0, 1.0]", "a known key", "'coulomb'"),
-        ('[tissue]\nkind = "elastik"', 3, "tissue.kind", "elastik", "", "Correct"),
+        ('[tissue]\nkind = "elastik"', 3, "tissue.kind", "elastik", "a known law", "Did you mean 'elastic'"),
         ("[tissue]\nviscous = 1.0", 3, "tissue.viscous", 1.0, "a known key", "'viscosity'"),
         ("[tissue]\nstiffness = 810.0", 3, "tissue.stiffness", 810.0, "a known key", "Known"),
         ("stiffness = [810.0, 0.0]", 2, "stiffness[1]", 0.0, "> 0.0", "Correct"),
@@ -141,7 +142,7 @@ def test_constants_of_the_world() -> None:
 def test_changes_of_the_tissue_come_one_after_the_other() -> None:
     """Smooth within their duration, half way at its middle; a duration of 0 is a step."""
     tissue = {"changes": [{"at": 1.0, "factor": 4.0, "duration": 0.2}, {"at": 2.0, "factor": 0.5, "duration": 0.0}]}
-    found: TissueSettings = Experiment.from_dict({"tissue": tissue}).tissue
+    found: TissueSettings = Experiment.from_dict({"physics": "wam", "tissue": tissue}).tissue
     at = softening(found, np.array([0.0, 1.0, 1.1, 1.2, 1.999, 2.0, 3.0]))
     np.testing.assert_allclose(at, [1.0, 1.0, 2.5, 4.0, 4.0, 0.5, 0.5])
 
@@ -151,3 +152,12 @@ def test_defaults_are_those_of_the_model_file() -> None:
     dofs = [int(compiled.joint(joint).dofadr[0]) for joint in JOINTS]
     np.testing.assert_array_equal(compiled.dof_damping[dofs], ArmSettings().viscous)
     assert compiled.body("tool").mass == ArmSettings().tool_mass == TOOL_MASS
+
+
+@pytest.mark.parametrize("tissue", [{"kind": "fung"}, {"attached": False}, {"changes": [{"at": 1.0, "factor": 2.0}]}])
+def test_the_linear_world_says_which_tissue_it_has(tissue: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="elastic, attached and unchanged"):
+        Experiment.from_dict({"physics": "linear", "tissue": tissue})
+    on_arm = Experiment.from_dict({"physics": "wam", "tissue": tissue})
+    with pytest.raises(InputError, match="elastic, attached and unchanged"):
+        with_physics(on_arm, "linear")
