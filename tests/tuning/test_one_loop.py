@@ -7,13 +7,14 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from tuning.objective.designed import designed
 
 from deploy.controller.artifact import load
-from jaxmpc import Experiment, InputError, Params, evaluate, margins
+from jaxmpc import Experiment, InputError, Margins, Params, evaluate, margins
 from jaxmpc.cli.freeze import freeze_controller
+from jaxmpc.closed_loops import close_loops
 from jaxmpc.experiment.experiment import SensorSettings
 from tuning import TuneSpec
+from tuning.objective.measures import Data, judged_margins
 from tuning.objective.problem import problem_of, training
 
 STIFFNESS = (375.0, 810.0)
@@ -32,7 +33,11 @@ def test_everybody_judges_one_loop(
     job = small(experiment={**EXPERIMENT, **filters}, tune={"duration": 3.5, "settle": 3.0}, goals={"ideal": False})
     spec = TuneSpec.from_dict(job)
     problem = problem_of(spec, "linear", training(spec, [0]))
-    tuned = jax.jit(lambda p, data: designed(p, data, 1.0).found)(params, problem.data)
+
+    def tuned_margins(batch: Params, data: Data) -> Margins:
+        return judged_margins(close_loops(batch, data.scene.stiffness, data.scene.path), data)
+
+    tuned = jax.tree.map(lambda field: field[0], jax.jit(tuned_margins)(Params.stack([params]), problem.data))
     at = np.searchsorted(spec.judged_at, STIFFNESS)
     freeze_controller(tmp_path / "a.npz", params, experiment, {"M_s": float(found.max()) + 1e-6}, ideal=False)
     frozen = {row["stiffness"]: row["M_s"] for row in load(tmp_path / "a.npz").margins}
