@@ -95,7 +95,7 @@ def room_of(cutoff: float, count: int) -> Room:
     evaluate, space = evaluator(problem, mpc_aob), spec.space
     job = Job((spec.params,), experiment, HARD)
     trials = [job.trial(i) for i in range(count)]
-    kind, robots = kind_of(trials[0].arm, trials[0].tissue, bool(trials[0].sensor.kalman)), robots_of(trials)
+    kind, robots = kind_of(trials[0].arm, trials[0].tissue), robots_of(trials)
 
     @jax.jit
     def matrices(z: Array, robots: Robot) -> Array:

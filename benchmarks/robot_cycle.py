@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from deploy.bus.bus import Bus
-from deploy.controller.artifact import load
+from deploy.controller.file import load
 from deploy.loop.cycle import CycleResult, OperatorCommand
 from deploy.loop.session import Options, Session
 from deploy.reference.segments import from_words

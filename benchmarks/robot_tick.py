@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import mujoco_loop
-from deploy.controller.artifact import load
-from deploy.runtime.arm import ArmRuntime
-from jaxmpc.law import cascade, force_control, gain_backoff
-from jaxmpc.law.scalar import scale, sub
+from deploy.controller.file import load
+from deploy.controller.runtimes import arm_runtime, flown_controller
+from jaxmpc.law import cascade, force_control
+from jaxmpc.law.ops import FLOATS
 from tests.deploy import made
 
 Rows = list[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]]
@@ -31,7 +31,7 @@ MEDIAN, P99 = 80.0, 200.0
 
 
 def recorded(artifact: Any, rows: Rows) -> Callable[[int], Any]:
-    runtime = ArmRuntime(artifact)
+    runtime = arm_runtime(artifact)
     runtime.start(rows[0][0])
     runtime.enter(rows[0][1], rows[0][0])
 
@@ -45,30 +45,13 @@ def recorded(artifact: Any, rows: Rows) -> Callable[[int], Any]:
 
 
 def on_floats(artifact: Any, rows: Rows) -> Callable[[int], Any]:
-    arm, gains = artifact.arm, cascade.constant_reference(artifact.gains)
-    pole = math.exp(-arm.velocity_cutoff * artifact.T_s)
-    guard = None if gains.guard is None else gain_backoff.init()
-    state = force_control.ControllerState(tuple(cascade.init(y, cascade.order(gains)) for y in rows[0][1]), None, guard)
-    last, velocity = rows[0][0], (0.0,) * 4
+    controller, compensated = flown_controller(artifact)
+    state = force_control.init(controller, *rows[0][:2], compensated)
 
     def tick(k: int) -> Any:
-        nonlocal state, last, velocity
+        nonlocal state
         q, force, wanted = rows[k]
-        raw = scale(1.0 / artifact.T_s, sub(q, last))
-        last, velocity = q, tuple(new + pole * (old - new) for new, old in zip(raw, velocity, strict=True))
-        state, command = force_control.step(
-            arm.chain,
-            arm.nominal,
-            arm.posture,
-            gains,
-            artifact.K2,
-            state,
-            q,
-            velocity,
-            force,
-            tuple((w,) for w in wanted),
-            math,
-        )
+        state, command = force_control.step(controller, state, q, force, tuple((w,) for w in wanted), FLOATS)
         torque = command.torque.torque
         state = force_control.applied(state, command, (torque[0], torque[1] - 1e-3, torque[2], torque[3]))
         return torque
@@ -84,7 +67,7 @@ def by_mujoco(artifact: Any, rows: Rows) -> Callable[[int], Any]:
     nominal = mujoco_loop.NominalArm(mujoco.MjModel.from_xml_path(str(mujoco_loop.WAM)), loop)
     cascades = mujoco_loop.Cascade(mujoco_loop.Gains.of(gains, artifact.K2))
     cascades.state[0] = cascades.state[5] = rows[0][1]
-    pole, posture = math.exp(-arm.velocity_cutoff * artifact.T_s), np.array(arm.posture)
+    pole, posture = math.exp(-artifact.loop.velocity_cutoff * artifact.T_s), np.array(arm.posture)
     inputs = [tuple(map(np.array, row)) for row in rows]
     last, velocity = inputs[0][0], np.zeros(4)
 
@@ -161,7 +144,7 @@ def main() -> int:
     apart = {name: float(np.max(np.abs(torque - torques["recorded"]))) for name, torque in torques.items()}
     ticks = {name: make(artifact, rows) for name, make in makers.items()}
     found = times(ticks, 20, len(rows))
-    print(f"{ArmRuntime(artifact).operations} operations; Python {sys.version.split()[0]}")
+    print(f"{arm_runtime(artifact).operations} operations; Python {sys.version.split()[0]}")
     print(" " * 18 + "  elapsed: median      p99   own: median      p99  [µs]   torque beside the recorded [N m]")
     for name, took in found.items():
         elapsed, own = np.percentile(took, (50.0, 99.0), axis=1).T

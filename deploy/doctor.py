@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from deploy.bus.bus import Bus, open_bus
-from deploy.controller.artifact import Artifact, ArtifactError, load
+from deploy.controller.artifact import Artifact
+from deploy.controller.file import ArtifactError, load
 from deploy.errors import BusError
 from deploy.loop.realtime import MonotonicClock, next_deadline, prepared
 from deploy.loop.statistics import LATE_OVERRUNS, Histogram

@@ -65,7 +65,7 @@ def close_loops(params: Params, stiffness: Any, path: LoopPath, width: Any = 1.0
         path: Delay and filters of the loop.
         width: Softness of the horizons [samples].
     """
-    gains, residual = jax.vmap(lambda one: design_one(one, path.T_s, width))(params)
+    gains, residual = jax.vmap(lambda one: design_one(one, path.T_s, width, path.force_filter))(params)
     return ClosedLoops(gains, params.K2, contacts_of(params.K2, stiffness, path), residual)
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 import hashlib
+import math
 import os
 import sys
 import time
@@ -26,7 +27,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: There is no such file.
     """
-    from deploy.controller.artifact import TOLERANCE, ArtifactError, check_golden, load
+    from deploy.controller.file import ArtifactError, load
+    from deploy.controller.golden import TOLERANCE, check_golden
     from jaxmpc.quantities import MARGINS
 
     path: Path = args.artifact
@@ -47,23 +49,34 @@ def run(args: argparse.Namespace) -> int:
     if guard is not None:
         gain = f"guarded: falls while the force swings by more than {guard.sensitivity**-0.5:.3g} N (RMS)"
     print(f"  gain        {gain}")
+    print(f"  loop        {_loop(artifact)}")
     for title, table in (("made by", artifact.provenance), ("params", artifact.params)):
         print(f"  {title:<11} {', '.join(f'{key} {_short(value)}' for key, value in table.items()) or '-'}")
     if artifact.arm is not None:
         _print_arm(artifact.arm)
-    print("\n  stiffness  delay  damping  " + "".join(f"{key:>18}" for key in MARGINS))
+    print("\n  stiffness  " + "".join(f"{key:>18}" for key in MARGINS))
     for row in artifact.margins:
-        values = "".join(f"{row[key]:>18.4g}" for key in MARGINS)
-        print(f"  {row['stiffness']:>9g}  {row['delay']:>5}  {'ideal' if row['ideal'] else 'as run':<7}  {values}")
+        print(f"  {row['stiffness']:>9g}  " + "".join(f"{row[key]:>18.4g}" for key in MARGINS))
     limits = {"spectral_radius": "< 1"}
     limits |= {key: f"{MARGINS[key].sign} {bound:g}" for key, bound in artifact.floor.items()}
-    print(f"  {'limit':<25}  " + "".join(f"{limits.get(key, ''):>18}" for key in MARGINS))
+    print(f"  {'limit':<9}  " + "".join(f"{limits.get(key, ''):>18}" for key in MARGINS))
     print(f"\n  golden trace: {len(artifact.golden_v)} samples replayed,", end=" ")
     torques = f" and {TOLERANCE:g} N m" if artifact.arm else ""
     print(f"deviation {check_golden(artifact):.1e} of the largest command (limit {TOLERANCE:g}{torques})")
     took, what = _times(artifact), "tick of the arm, without the bus" if artifact.arm else "step of three axes"
     print(f"  one {what}: median {took[50]:.1f} µs, 99 % within {took[99]:.1f} µs")
     return 0
+
+
+def _loop(artifact: "Artifact") -> str:
+    """Delay and filters that the margins hold with."""
+    loop, force_filter = artifact.loop, artifact.gains.force_filter
+    low_passes = (("velocity", loop.velocity_cutoff, "rad/s"), ("sensor", loop.sensor_cutoff / (2.0 * math.pi), "Hz"))
+    parts = [f"delay {loop.delay}", "ideal damping" if loop.ideal else "as it runs"]
+    parts += [
+        f"{name} low-pass {cutoff:g} {unit}" if cutoff else f"no {name} low-pass" for name, cutoff, unit in low_passes
+    ]
+    return ", ".join(parts + ["Kalman filter on the force"] * (force_filter is not None))
 
 
 def _print_arm(arm: "ArmModel") -> None:
@@ -76,7 +89,7 @@ def _print_arm(arm: "ArmModel") -> None:
     print(f"  model       links {sum(link.mass for link in links):.3f} kg × {nominal.mass_scale:g}", end="")
     print(f", tool error {nominal.tool_error:g} kg, {friction}")
     print(f"  posture     {_list(arm.posture)} rad")
-    print(f"  velocities  low-pass {arm.velocity_cutoff:g} rad/s, encoders of {arm.encoder_counts} counts")
+    print(f"  encoders    judged with {arm.encoder_counts} counts per motor turn")
     print("\n  limit")
     for name, value in arm.limits.plain().items():
         print(f"  {name:<22}{_list(value)} {UNIT[name]}")
@@ -84,18 +97,17 @@ def _print_arm(arm: "ArmModel") -> None:
 
 def _times(artifact: "Artifact", count: int = 20_000) -> list[float]:
     """Percentiles 0 to 99 of the time of one step or, on the arm, tick [µs]."""
-    from deploy.runtime.arm import ArmRuntime
-    from deploy.runtime.linear import Runtime
+    from deploy.controller.runtimes import arm_runtime, linear_runtime
 
     force, force_ref = artifact.golden_force[0].tolist(), artifact.golden_force_ref[0].tolist()
     if artifact.arm is None:
-        runtime = Runtime(artifact)
+        runtime = linear_runtime(artifact)
 
         def once() -> None:
             runtime.step(force, force_ref)
     else:
         arm, q, applied = (
-            ArmRuntime(artifact),
+            arm_runtime(artifact),
             artifact.arm.golden_q[0].tolist(),
             artifact.arm.golden_applied[0].tolist(),
         )

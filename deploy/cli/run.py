@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: There is no such artifact, or an option is out of range.
     """
-    from deploy.controller.artifact import ArtifactError, from_bytes, read
+    from deploy.controller.file import ArtifactError, from_bytes, read
     from deploy.errors import DeployError
     from deploy.loop.watchdog import WatchdogError
 

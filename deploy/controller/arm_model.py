@@ -28,16 +28,15 @@ LINK: Mapping[str, tuple[int, ...]] = {
     "position": (3,), "rotation": (3, 3), "mass": (), "moment": (3,), "inertia": (3, 3),
 }  # fmt: skip
 CHAIN: Mapping[str, tuple[int, ...]] = {"armature": (4,), "tip": (3,), "gravity": (3,)}
-BELIEVED: Mapping[str, tuple[int, ...]] = {"coulomb": (4,), "viscous": (4,), "presliding": ()}
+FRICTION: Mapping[str, tuple[int, ...]] = {"coulomb": (4,), "viscous": (4,), "presliding": ()}
 GOLDEN = ("golden_q", "golden_applied", "golden_torque")
 MEANING: Mapping[str, str] = {
     "robot": "the name of the arm that it may drive",
     "chain": "masses and geometry of the links",
     "tool_length": "where the tip is beyond the elbow",
-    "nominal": "what it believes of masses, tool and friction",
+    "nominal": "how its model of masses, tool and friction differs",
     "compensated": "whether it cancels friction",
     "posture": "the joint angles at which the redundant joint rests",
-    "velocity_cutoff": "the low-pass of the joint velocities that its margins hold with",
     "encoder_counts": "the encoders that it was judged with",
     "limits": "what force, torque, velocity and place may never pass",
 }
@@ -46,16 +45,15 @@ MEANING: Mapping[str, str] = {
 
 @dataclass(frozen=True, eq=False)
 class ArmModel:
-    """The arm, as the controller believes it; whatever exists is well formed and is the robot that it names.
+    """The arm in the controller's model; whatever exists is well formed and is the robot that it names.
 
     Attributes:
         robot: Name of the robot.
         chain: Its constants, floats.
         tool_length: From the elbow's axis to the tip [m].
-        nominal: How the controller believes them to differ, and the friction that it believes in.
+        nominal: How its model differs from them, and the friction in it.
         compensated: Whether that friction is cancelled.
         posture: Joint angles of the null space, J1–J4 [rad].
-        velocity_cutoff: Of the low-pass on the measured joint velocities [rad/s].
         encoder_counts: Per motor turn, of the arm it was judged on; 0 is a perfect encoder.
         limits: What nothing may pass.
         golden_q: Measured joint angles of the trace (n, 4) [rad], which begins at rest at its first row.
@@ -72,7 +70,6 @@ class ArmModel:
     nominal: Nominal
     compensated: bool
     posture: Vector
-    velocity_cutoff: float
     encoder_counts: int
     limits: Limits
     golden_q: np.ndarray
@@ -95,7 +92,6 @@ class ArmModel:
             "tool_length": _between("arm.tool_length", self.tool_length, 0.0, 1.0),
             "nominal": _nominal(self.nominal),
             "posture": constants("arm.posture", self.posture, (4,)),
-            "velocity_cutoff": _between("arm.velocity_cutoff", self.velocity_cutoff, 0.0, 1e5),
             "golden_q": q,
             "golden_applied": array("golden_applied", self.golden_applied, (len(q), 4)),
             "golden_torque": array("golden_torque", self.golden_torque, (len(q), 4)),
@@ -194,16 +190,16 @@ def _chain(value: Any) -> Chain:
 
 
 def _nominal(value: Any) -> Nominal:
-    """What is believed, as floats."""
+    """The nominal model, as floats."""
     table = keyed("arm.nominal", value, Nominal._fields)
-    friction = keyed("arm.nominal.friction", table["friction"], BELIEVED)
-    believed = {key: constants(f"arm.nominal.friction.{key}", friction[key], shape) for key, shape in BELIEVED.items()}
-    if min(*believed["coulomb"], *believed["viscous"]) < 0.0:
+    friction = keyed("arm.nominal.friction", table["friction"], FRICTION)
+    known = {key: constants(f"arm.nominal.friction.{key}", friction[key], shape) for key, shape in FRICTION.items()}
+    if min(*known["coulomb"], *known["viscous"]) < 0.0:
         raise InputError("arm.nominal.friction", friction, "not negative", "Friction never drives a joint.")
-    _between("arm.nominal.friction.presliding", believed["presliding"], 1e-5, 0.1)
+    _between("arm.nominal.friction.presliding", known["presliding"], 1e-5, 0.1)
     mass_scale = _between("arm.nominal.mass_scale", table["mass_scale"], 0.1, 2.0)
     return Nominal(
-        mass_scale, _between("arm.nominal.tool_error", table["tool_error"], -1.0, 4.0), NominalFriction(**believed)
+        mass_scale, _between("arm.nominal.tool_error", table["tool_error"], -1.0, 4.0), NominalFriction(**known)
     )
 
 

@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 
 from deploy.controller.arm_model import GOLDEN, ArmModel
-from deploy.controller.artifact import Artifact, check_golden, is_artifact, load, to_bytes
+from deploy.controller.artifact import Artifact
+from deploy.controller.file import is_artifact, load, to_bytes
+from deploy.controller.golden import check_golden
+from deploy.controller.judged_loop import JudgedLoop
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import LARGEST, write_atomic
 from jaxmpc.law.cascade import Gains
@@ -18,6 +21,7 @@ def freeze(
     gains: Gains,
     T_s: float,
     K2: float,
+    loop: JudgedLoop,
     params: dict[str, Any],
     margins: Sequence[Mapping[str, Any]],
     floor: Mapping[str, float],
@@ -33,9 +37,10 @@ def freeze(
         gains: One controller: numbers and arrays of any library that numpy can read; guarded only with an arm.
         T_s: Sampling time [s].
         K2: Damping of the tip velocity [1/s].
+        loop: Delay and filters that it was judged with.
         params: Parameters that it was designed from, plain data.
-        margins: Rows of stiffness [N/m], delay [samples], ideal, M_s [-], gain_margin_db and
-            gain_reduction_db [dB], phase_margin_deg [°], delay_margin_s [s], spectral_radius [-].
+        margins: Rows of stiffness [N/m], M_s [-], gain_margin_db and gain_reduction_db [dB], phase_margin_deg [°],
+            delay_margin_s [s], spectral_radius [-].
         floor: Most M_s and least other margins, one at least, to be kept in every row.
         golden: Measured force (n, 3) [N], wanted force (n, 3) or with preview (n, 3, H) [N], and what the
             law answered (n, 3) [m/s²] after a reset to the first measured force.
@@ -54,7 +59,9 @@ def freeze(
     force, force_ref, v = golden
     rows = list(map(dict, margins))
     model = None if arm is None else _model(arm)
-    artifact = Artifact(gains, T_s, K2, preview, params, rows, dict(floor), provenance, force, force_ref, v, model)
+    artifact = Artifact(
+        gains, T_s, K2, preview, loop, params, rows, dict(floor), provenance, force, force_ref, v, model
+    )
     check_golden(artifact)
     data = to_bytes(artifact)
     if len(data) > LARGEST:

@@ -1,31 +1,32 @@
-"""Gains of a frozen controller: shapes and numbers are checked when read, then plain floats are handed to the law."""
+"""Gains of a frozen controller, checked against what the law declares of them, and as plain data."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from deploy.controller.checks import AGAIN, array, constants, keyed
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains, constant_reference, order
-from jaxmpc.law.gain_backoff import GainBackoff
-
-SHAPES: Mapping[str, tuple[int | None, ...]] = {
-    "phi": (2,), "gamma": (2,), "K": (None,), "L": (3,), "input_gain": (),
-    "mpc_ref": (None,), "mpc_x": (2,), "mpc_u": (),
-}  # fmt: skip
-"""Shapes of the gains; None stands for any length but 0. Only a guarded controller has a guard besides."""
+from jaxmpc.law.scalar import Constant
 
 
-def checked(gains: Gains) -> Gains:
+def declared(kind: type) -> dict[str, Any]:
+    """Every field of a table of constants: its `Constant`, or the class of a part that may be missing."""
+    found: dict[str, Any] = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        found[name] = next(each for each in get_args(hint) if isinstance(each, Constant) or hasattr(each, "_fields"))
+    return found
+
+
+def checked(gains: Any) -> Gains:
     """The same as floats and tuples of floats, as the law takes its constants.
 
     Args:
-        gains: One controller: numbers and arrays of any library that numpy can read; its guard may be a table.
+        gains: One controller, or a table of one: numbers and arrays of any library that numpy can read.
 
     Raises:
-        InputError: A value is malformed or out of range.
+        InputError: A value is missing, unknown, malformed or out of range.
     """
-    numbers = {name: constants(name, getattr(gains, name), shape) for name, shape in SHAPES.items()}
-    found = Gains(**numbers, guard=None if gains.guard is None else _guard(gains.guard))
+    found: Gains = _checked(Gains, gains, "gains", "")
     if not 1 <= order(found) <= 3:
         raise InputError("K", f"{len(found.K)} numbers", "4 to 6", "The disturbance order is 1, 2 or 3.")
     array("sum of mpc_ref", constant_reference(found).mpc_ref, (1,))
@@ -33,19 +34,30 @@ def checked(gains: Gains) -> Gains:
 
 
 def plain(gains: Gains) -> dict[str, Any]:
-    """As plain data; without a guard there is no word of it."""
-    table = gains._asdict()
-    guard = table.pop("guard")
-    return table if guard is None else table | {"guard": guard._asdict()}
+    """As plain data, without the parts that are missing."""
+    table = {name: value for name, value in gains._asdict().items() if value is not None}
+    return {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in table.items()}
 
 
-def _guard(value: Any) -> GainBackoff:
-    """A guard of floats, from one or from the table of one."""
-    table = keyed("guard", value, GainBackoff._fields)
-    found = GainBackoff(**{name: constants(f"guard.{name}", table[name], ()) for name in GainBackoff._fields})
-    for name, number in found._asdict().items():
-        # Poles and shares of a sample: below 1, so that the gain stays above its least.
-        good, bound = (number > 0.0, "positive [1/N²]") if name == "sensitivity" else (0.0 <= number < 1.0, "in [0, 1)")
-        if not good:
-            raise InputError(f"guard.{name}", number, bound, AGAIN)
+def _checked(kind: Any, value: Any, name: str, prefix: str) -> Any:
+    known, table = declared(kind), dict(value) if isinstance(value, Mapping) else value
+    parts = [key for key, each in known.items() if not isinstance(each, Constant)]
+    if isinstance(table, dict):
+        table = dict.fromkeys(parts) | table
+    table = keyed(name, table, known)
+    found = {}
+    for key, each in known.items():
+        if isinstance(each, Constant):
+            found[key] = _constant(f"{prefix}{key}", table[key], each)
+        else:
+            found[key] = None if table[key] is None else _checked(each, table[key], key, f"{key}.")
+    return kind(**found)
+
+
+def _constant(name: str, value: Any, declaration: Constant) -> Any:
+    found = constants(name, value, declaration.shape)
+    low, below = declaration.low, declaration.below
+    if (low is not None and found < low) or (below is not None and found >= below):
+        bound = f"at least {low:g}" if below is None else f"in [{low:g}, {below:g})"
+        raise InputError(name, found, bound, AGAIN)
     return found

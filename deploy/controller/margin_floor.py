@@ -7,9 +7,6 @@ from typing import Any
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import MARGINS
 
-CASE = ("stiffness", "delay", "ideal")
-"""What a row of margins holds for: stiffness [N/m], delay [samples], ideal damping or as it runs."""
-
 
 def number(key: str, value: Any) -> float:
     """A number, or the word "inf" for infinity, which JSON has no number for.
@@ -32,23 +29,17 @@ def plain_margins(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     Raises:
         InputError: There is none, or one has other keys or values than it must have.
     """
-    known = {*CASE, *MARGINS}
+    known = {"stiffness", *MARGINS}
     plain = []
     if not isinstance(rows, list | tuple):
         raise InputError("margins", rows, "a list of tables", "Give one for each stiffness.")
     for row in rows:
         if not isinstance(row, Mapping) or set(row) != known:
             raise InputError("margins", row, f"a table of {', '.join(sorted(known))}", "Give each of them once.")
-        values = {key: number(key, row[key]) for key in sorted(known - {"ideal"})}
+        values = {key: number(key, row[key]) for key in sorted(known)}
         if not 0.0 < values["stiffness"] < math.inf:
             raise InputError("stiffness", values["stiffness"], "positive and finite [N/m]", "Give the tissue's own.")
-        if values["delay"] not in (1.0, 2.0):
-            raise InputError("delay", values["delay"], "1 or 2 samples", "Longer ones are judged by delay_margin_s.")
-        if row["ideal"] not in (True, False):
-            raise InputError(
-                "ideal", row["ideal"], "true or false", "Say whether the damping was the paper's ideal one."
-            )
-        plain.append({**values, "delay": int(values["delay"]), "ideal": bool(row["ideal"])})
+        plain.append(values)
     if not plain:
         raise InputError("margins", "none", "given for at least one stiffness", "Evaluate them where it will be used.")
     return plain
@@ -78,8 +69,7 @@ def check(margins: Iterable[Mapping[str, Any]], floor: Mapping[str, float]) -> N
         InputError: A row is unstable or below the floor; it names stiffness, value and bound.
     """
     for row in margins:
-        damping = "ideal damping" if row["ideal"] else "as it runs"
-        case = f"at {row['stiffness']:g} N/m ({damping}, delay {row['delay']})"
+        case = f"at {row['stiffness']:g} N/m"
         if not row["spectral_radius"] < 1.0:
             remedy = "The loop is unstable there: tune again with that stiffness in the set."
             raise InputError(f"spectral_radius {case}", f"{row['spectral_radius']:.6g}", "below 1", remedy)

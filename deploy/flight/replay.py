@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.controller.artifact import Artifact
+from deploy.controller.runtimes import arm_runtime
 from deploy.flight.recorder import COLUMNS, FlightRecording, RecordingError
-from deploy.runtime.arm import ArmRuntime
+from jaxmpc.law.recorded import RecordedInputs
 
 INPUTS = ("time", "q", "qd", "force", "force_ref", "applied", "a", "state", "position_age")
 COMPARED: Mapping[str, str] = {
@@ -40,33 +41,6 @@ SERVO = ("armed", "approach", "retract", "stopped")
 """States in which the torque is that of a servo on the tip."""
 
 
-class Inputs(NamedTuple):
-    """A recording as the law sees it; all but `T_s` have one row a sample."""
-
-    T_s: float
-    time: np.ndarray
-    q: np.ndarray
-    qd: np.ndarray
-    force: np.ndarray
-    """NaN where it was bridged."""
-    force_ref: np.ndarray
-    """(n, 3), with preview (n, 3, H)."""
-    applied: np.ndarray
-    a: np.ndarray
-    contact: np.ndarray
-    """Whether the law was in control."""
-    enters: np.ndarray
-    """Whether it was for the first time."""
-    servo: np.ndarray
-    """Whether the servo was."""
-    judged: np.ndarray
-    """Whether the law's outputs can be told from this recording."""
-    fresh: np.ndarray
-    """Whether velocities can be."""
-    gain: np.ndarray
-    """Gain after the sample where it is taken from the recording, NaN where it is computed (n,) [-]."""
-
-
 class Difference(NamedTuple):
     """How a signal differs."""
 
@@ -89,7 +63,7 @@ class Difference(NamedTuple):
         return not math.isnan(self.first)
 
 
-def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Inputs:
+def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> RecordedInputs:
     """What the law was given.
 
     Args:
@@ -139,8 +113,7 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> In
         np.isfinite(signals["a"]), axis=1
     )
     gain = signals["gain"][:, 0]
-    return Inputs(
-        T_s=artifact.T_s,
+    return RecordedInputs(
         time=time,
         q=q,
         qd=signals["qd"],
@@ -157,9 +130,9 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> In
     )
 
 
-def through_runtime(inputs: Inputs, artifact: Artifact) -> dict[str, np.ndarray]:
+def through_runtime(inputs: RecordedInputs, artifact: Artifact) -> dict[str, np.ndarray]:
     """The signals of `COMPARED` from the runtime; NaN where it does not make them."""
-    runtime = ArmRuntime(artifact)
+    runtime = arm_runtime(artifact)
     found = {name: np.full((len(inputs.time), COLUMNS[name][0]), np.nan) for name in COMPARED}
     q = [tuple(row) for row in inputs.q.tolist()]
     runtime.start(q[0])
@@ -189,7 +162,7 @@ def through_runtime(inputs: Inputs, artifact: Artifact) -> dict[str, np.ndarray]
 
 
 def compare(
-    recording: FlightRecording, inputs: Inputs, replayed: Mapping[str, np.ndarray], tolerance: float = TOLERANCE
+    recording: FlightRecording, inputs: RecordedInputs, replayed: Mapping[str, np.ndarray], tolerance: float = TOLERANCE
 ) -> list[Difference]:
     """How each signal that was computed anew differs from the recorded one.
 

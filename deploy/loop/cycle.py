@@ -181,7 +181,7 @@ class Cycle:
                 self.situation = SafetyState(
                     OperatingState.FAULT, Reason.STATE, f"{task} was refused: {refusal}", let_go=True
                 )
-        if task is Task.CONTROL and acted.acted:
+        if task is Task.CONTROL:
             self.controller.runtime.applied(applied)
         return CycleResult(frame, self.situation, task, acted, q, qd, where, force, wanted, applied)
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from deploy.bus.bus import Bus
 from deploy.controller.artifact import Artifact
+from deploy.controller.runtimes import arm_runtime
 from deploy.errors import CalibrationError
 from deploy.flight.recorder import FlightRecorder
 from deploy.force.can_sensor import CanSensor
@@ -21,7 +22,6 @@ from deploy.loop.cycle import Cycle, CycleResult, OperatorCommand
 from deploy.loop.loop import REASONS, STATES, Clock, Loop, RunResult, Watching
 from deploy.loop.statistics import Statistics
 from deploy.reference.sources import Source
-from deploy.runtime.arm import ArmRuntime
 from deploy.safety.clamp import Clamp
 from deploy.safety.machine import SafetyState
 from deploy.wam.arm import WamArm
@@ -100,7 +100,7 @@ class Session:
             BusError: The arm does not answer as it must.
             CalibrationError: It says what cannot be right, stands elsewhere, or the sensor is not still.
         """
-        runtime = ArmRuntime(artifact)
+        runtime = arm_runtime(artifact)
         model = artifact.arm
         assert model is not None
         if options.hz is not None and abs(options.hz * artifact.T_s - 1.0) > 1e-9:

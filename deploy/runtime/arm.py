@@ -3,28 +3,27 @@
     start ─► per sample: velocity ─► servo                      free, approaching, retracting
                      enter ─► velocity ─► control ─► applied    in contact
 
-Everything is `jaxmpc.law`, recorded with the artifact's constants. Like `deploy.runtime.linear` this limits nothing and
-judges nothing: the safety layer keeps the arm away from singularities and from values that are not finite, at which
-Python's own arithmetic would raise.
+Everything is `jaxmpc.law`, recorded with one controller's constants. Like `deploy.runtime.linear` this limits nothing
+and judges nothing: the safety layer keeps the arm away from singularities and from values that are not finite, at
+which Python's own arithmetic would raise.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from deploy.runtime.straightline import compile_straightline
-from deploy.runtime.straightline import functions as ops
-from jaxmpc.files.errors import InputError
-from jaxmpc.law import cascade, chain, computed_torque, force_control, friction_compensation, gain_backoff
-from jaxmpc.law.scalar import add, scale, sub
+from deploy.runtime.straightline import OPS, compile_straightline
+from jaxmpc.law import chain, entry, force_control, measurement
+from jaxmpc.law.cascade import AxisState
+from jaxmpc.law.computed_torque import JointTorque
+from jaxmpc.law.force_control import Command, Controller, ControllerState
+from jaxmpc.law.gain_backoff import BackoffState
+from jaxmpc.law.measurement import MeasurementState
+from jaxmpc.law.scalar import scale
 from jaxmpc.law.vectors import Vector3, Vector4
-from jaxmpc.world import drive
-
-if TYPE_CHECKING:
-    from deploy.controller.artifact import Artifact
 
 _FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)
 _THREE: Vector3 = (0.0, 0.0, 0.0)
+_P_HAT, _U = map(AxisState._fields.index, ("p_hat", "u"))
+_GAIN = BackoffState._fields.index("gain")
 
 
 class ArmRuntime:
@@ -43,46 +42,41 @@ class ArmRuntime:
     last_force: Vector3
     last_torque: Vector4
 
-    def __init__(self, artifact: "Artifact") -> None:
+    def __init__(self, controller: Controller, compensated: bool, preview: bool) -> None:
         """Record the tick.
 
         Args:
-            artifact: Of the kind "wam".
-
-        Raises:
-            InputError: It is of the kind "linear".
+            controller: Floats; without preview with one weight of the reference.
+            compensated: Whether friction is cancelled.
+            preview: Whether the wanted force is known ahead, as many samples as the reference has weights.
         """
-        arm = artifact.arm
-        if arm is None:
-            remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
-            raise InputError("kind", artifact.kind, "wam: a linear controller only replays", remedy)
-        self._order, self._compensated, self._posture = cascade.order(artifact.gains), arm.compensated, arm.posture
-        self._guarded = artifact.gains.guard is not None
-        ahead = _THREE if not artifact.preview else ((0.0,) * len(artifact.gains.mpc_ref),) * 3
-        law = _Law(artifact)
-        self.start(arm.posture)
-        torque, wrench = (self._axes, _THREE, self._bristles, self._guard), (_FOUR, _FOUR, _THREE)
-        control = compile_straightline(law.control, (*torque, *wrench, ahead))
+        law = _Law(controller, preview)
+        self._controller, self._compensated = controller, compensated
+        self.start(controller.posture)
+        ahead = ((0.0,) * len(controller.gains.mpc_ref),) * 3 if preview else _THREE
+        memory, seen = (self._axes, self._bristles, self._guard), (_FOUR, _FOUR)
+        control = compile_straightline(law.control, (*memory, _THREE, *seen, _THREE, ahead))
         self.operations = control.operations
         self._control = control.function
         self._measure = compile_straightline(law.measure, (self._measured, _FOUR)).function
         self._predict = compile_straightline(law.predict, (self._axes, self._guard)).function
         self._told = compile_straightline(law.told, (_THREE, _FOUR, law.jacobian, law.factors, _FOUR)).function
-        self._servo = compile_straightline(law.servo, (self._bristles, *wrench, _THREE)).function
-        self._enter = compile_straightline(law.enter, (_THREE, _FOUR, _FOUR, _THREE)).function
+        self._servo = compile_straightline(law.servo, (self._bristles, *seen, _THREE, _THREE)).function
+        self._enter = compile_straightline(law.enter, (self._measured, _THREE, _THREE)).function
         self.gravity = compile_straightline(law.gravity, (_FOUR,)).function
         self.tip = compile_straightline(law.tip, (_FOUR,)).function
 
     def start(self, q: Vector4) -> None:
         """Forget everything; at rest at measured joint angles [rad], without contact."""
         angles = tuple(map(float, q))  # numbers of numpy would stay and make every sample slower
-        self._measured: Any = (angles, _FOUR)
-        self._bristles: Any = friction_compensation.init(angles) if self._compensated else ()
-        self._guard: Any = gain_backoff.init() if self._guarded else ()
-        self._axes: Any = (cascade.init(0.0, self._order),) * 3
+        self._hold(*force_control.init(self._controller, angles, _THREE, self._compensated))
         self._applied = self.last_v = self.last_a = self.last_force = _THREE
         self.last_torque = _FOUR
         self._found: Any = None
+
+    def _hold(self, measured: Any, axes: Any, bristles: Any, guard: Any) -> None:
+        """Keep the parts of a `ControllerState`, each of which changes where the others rest."""
+        self._measured, self._axes, self._bristles, self._guard = measured, axes, bristles, guard
 
     def velocity(self, q: Vector4) -> Vector4:
         """Filtered joint velocities [rad/s] from measured angles [rad]; once a sample."""
@@ -90,12 +84,11 @@ class ArmRuntime:
         return self._measured[1]  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     def enter(self, force: Vector3, q: Vector4) -> None:
-        """Contact is made: observers at the measured force [N], full gain, and bumpless.
+        """Contact is made: observers at the measured force [N] and angles [rad], full gain, and bumpless.
 
-        What was asked of the tip so far, v = a + K₂ẋ, was all that held it where it is: it is taken for the
-        disturbance, p̂ = −v. While the wanted force is the measured one, `control` then begins with the same a.
+        While the wanted force is the measured one, `control` begins with the same a that was asked for so far.
         """
-        self._axes, self._applied, self._guard = self._enter(force, q, self._measured[1], self.last_a)
+        self._axes, self._guard, self._applied = self._enter((q, self._measured[1]), force, self.last_a)
         self.last_v = self._applied
 
     def control(self, q: Vector4, qd: Vector4, force: Vector3 | None, force_ref: Any) -> Vector4:
@@ -104,24 +97,24 @@ class ArmRuntime:
         Args:
             q: Measured joint angles [rad].
             qd: What `velocity` gave [rad/s].
-            force: Measured force on the tissue [N]; None, for a lost one, is bridged by what the observers predict.
+            force: Measured force on the tissue [N]; None, for a lost one, is bridged by what is expected.
             force_ref: Wanted force of each axis [N]; with preview 1…H samples ahead (3, H).
 
         Returns:
-            Joint torques before any limit [N m]; tell `applied` where they were changed.
+            Joint torques before any limit [N m]; tell `applied` what the limits let pass.
         """
         if force is None:
             force = self._predict(self._axes, self._guard)
         self.last_force = force
         self._axes, self._bristles, self._guard, v, self.last_a, self.last_torque, self._found = self._control(
-            self._axes, self._applied, self._bristles, self._guard, q, qd, force, force_ref
+            self._axes, self._bristles, self._guard, self._applied, q, qd, force, force_ref
         )
         self.last_v = self._applied = v
         return self.last_torque
 
     def applied(self, torque: Vector4) -> None:
         """Tell the observers which joint torques [N m] the limits let pass since the last `control`."""
-        if torque != self.last_torque:
+        if torque != self.last_torque:  # else it would find v again
             self._applied = self._told(self.last_v, self.last_torque, *self._found, torque)
 
     def servo(self, q: Vector4, qd: Vector4, acceleration: Vector3, force: Vector3) -> Vector4:
@@ -132,118 +125,79 @@ class ArmRuntime:
 
     @property
     def prediction(self) -> Vector3:
-        """What the observers expect to be measured next [N]."""
+        """Force that is expected to be measured next [N]."""
         return self._predict(self._axes, self._guard)  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
     def p_hat(self) -> Vector3:
         """Active states: estimated disturbances [m/s²]."""
         x, y, z = self._axes
-        return x[1], y[1], z[1]
+        return x[_P_HAT], y[_P_HAT], z[_P_HAT]
 
     @property
     def u(self) -> Vector3:
         """Outputs of the MPC [N]."""
         x, y, z = self._axes
-        return x[2], y[2], z[2]
+        return x[_U], y[_U], z[_U]
 
     @property
     def gain(self) -> float:
         """Share of the loop's gain that the guard leaves [-]; 1 without one."""
-        return float(self._guard[0]) if self._guard else 1.0
+        return float(self._guard[_GAIN]) if self._guard else 1.0
 
     @gain.setter
     def gain(self, gain: float) -> None:
         """Only for a replay that does not know how it came about; nothing changes without a guard."""
-        self._guard = (gain, *self._guard[1:]) if self._guard else ()
+        if self._guard:
+            self._guard = (*self._guard[:_GAIN], gain, *self._guard[_GAIN + 1 :])
 
 
 class _Law:
-    """The functions to record, closed over an artifact's constants."""
+    """The functions to record, closed over a controller's constants."""
 
     jacobian = ((0.0,) * 4,) * 3
     factors = (((), (0.0,), (0.0,) * 2, (0.0,) * 3), (0.0,) * 4)
 
-    def __init__(self, artifact: "Artifact") -> None:
-        assert artifact.arm is not None
-        self.arm, self.K2, self.T_s, self.preview = artifact.arm, artifact.K2, artifact.T_s, artifact.preview
-        self.gains = artifact.gains if artifact.preview else cascade.constant_reference(artifact.gains)
-        self.pole = drive.pole(self.arm.velocity_cutoff, self.T_s)
+    def __init__(self, controller: Controller, preview: bool) -> None:
+        self.controller, self.preview = controller, preview
 
-    def measure(self, state: Any, q: Any) -> Any:
-        """`drives.measure` for angles that the encoders have already rounded."""
-        angle, velocity = state
-        raw = scale(1.0 / self.T_s, sub(q, angle))
-        return q, tuple(new + self.pole * (old - new) for new, old in zip(raw, velocity, strict=True))
+    def measure(self, measured: Any, q: Any) -> Any:
+        return measurement.measure(self.controller.measurement, measured, q)
 
     def control(
-        self, axes: Any, told: Any, bristles: Any, guard: Any, q: Any, qd: Any, force: Any, force_ref: Any
+        self, axes: Any, bristles: Any, guard: Any, applied: Any, q: Any, qd: Any, force: Any, force_ref: Any
     ) -> Any:
-        arm = self.arm
-        state = force_control.ControllerState(
-            tuple(axis._replace(v=v) for axis, v in zip(axes, told, strict=True)), bristles or None, guard or None
-        )
+        state = force_control.holding(ControllerState(MeasurementState(q, qd), axes, bristles, guard), applied)
         wanted = force_ref if self.preview else tuple((axis,) for axis in force_ref)
-        state, command = force_control.step(
-            arm.chain, arm.nominal, arm.posture, self.gains, self.K2, state, q, qd, force, wanted, ops
-        )
+        state, command = force_control.respond(self.controller, state, force, wanted, OPS)
         found = command.torque
-        held = state.bristles or (), state.guard or ()
-        return state.axes, *held, command.v, command.a, found.torque, (found.jacobian, found.factors)
+        return *state[1:], command.v, command.a, found.torque, (found.jacobian, found.factors)
 
     def told(self, v: Any, wanted: Any, jacobian: Any, factors: Any, torque: Any) -> Any:
-        found = computed_torque.JointTorque(wanted, jacobian, factors)
-        return add(v, computed_torque.acceleration_of(found, sub(torque, wanted)))
+        return force_control.told(Command(JointTorque(wanted, jacobian, factors), v, ()), torque)
 
     def predict(self, axes: Any, guard: Any) -> Any:
-        # Without a correction, an estimate is a prediction.
-        blind = self.gains._replace(K=(0.0,) * len(self.gains.K))
-        if guard:
-            blind = cascade.with_gain(blind, guard.gain)
-        return tuple(cascade.estimate(blind, axis, 0.0)[0][0] for axis in axes)
+        state = ControllerState(MeasurementState(_FOUR, _FOUR), axes, None, guard)
+        return entry.expected_force(self.controller, state)
 
-    def enter(self, force: Any, q: Any, qd: Any, a: Any) -> Any:
-        v = add(a, scale(self.K2, computed_torque.tip_velocity(self.arm.chain, q, qd, ops)))
-        axes = [cascade.init(each, cascade.order(self.gains)) for each in force]
-        guard = gain_backoff.init() if self.gains.guard is not None else ()
-        return tuple(axis._replace(p_hat=-held, v=held) for axis, held in zip(axes, v, strict=True)), v, guard
+    def enter(self, measured: Any, force: Any, a: Any) -> Any:
+        resting = force_control.init(self.controller, _FOUR, force)
+        state = entry.enter(self.controller, resting._replace(measured=measured), force, a, OPS)
+        return state.axes, state.guard, tuple(axis.v for axis in state.axes)
 
     def servo(self, bristles: Any, q: Any, qd: Any, a: Any, force: Any) -> Any:
-        arm, friction = self.arm, force_control.NO_FRICTION
-        if bristles:
-            bristles, friction = friction_compensation.step(arm.nominal.friction, bristles, q, qd, ops)
-        found = computed_torque.torque(arm.chain, arm.nominal, arm.posture, q, qd, a, force, friction, ops)
+        state = force_control.init(self.controller, q, force)
+        state = state._replace(measured=MeasurementState(q, qd), bristles=bristles)
+        bristles, found = force_control.torque_for(self.controller, state, a, force, OPS)
         return bristles, found.torque
 
     def gravity(self, q: Any) -> Any:
         """Torques that hold the arm in the controller's model [N m]."""
-        share = self.arm.nominal.mass_scale
-        believed = chain.with_point_mass(self.arm.chain, self.arm.nominal.tool_error / share)
-        return scale(share, chain.inverse_dynamics(believed, chain.pose(believed, q, ops), _FOUR, _FOUR))
+        arm, (share, tool_error, _) = self.controller.chain, self.controller.nominal
+        model = chain.with_point_mass(arm, tool_error / share)
+        return scale(share, chain.inverse_dynamics(model, chain.pose(model, q, OPS), _FOUR, _FOUR))
 
     def tip(self, q: Any) -> Any:
         """Position of the tip in the shoulder's frame [m]."""
-        return chain.tip(self.arm.chain, chain.pose(self.arm.chain, q, ops)).position
-
-
-def replay(artifact: "Artifact") -> tuple[float, float]:
-    """Largest deviations from the golden trace: of v, relative to its largest [-], and of the torques [N m].
-
-    As in `deploy.runtime.linear.replay` no feedback amplifies rounding: the trace gives the torques that were
-    applied too.
-    """
-    runtime, arm = ArmRuntime(artifact), artifact.arm
-    assert arm is not None
-    inputs = zip(
-        *(each.tolist() for each in (arm.golden_q, artifact.golden_force, artifact.golden_force_ref)), strict=True
-    )
-    v, torques = [], []
-    runtime.start(tuple(arm.golden_q[0].tolist()))
-    runtime.enter(tuple(artifact.golden_force[0].tolist()), tuple(arm.golden_q[0].tolist()))
-    for (q, force, force_ref), told in zip(inputs, arm.golden_applied.tolist(), strict=True):
-        torques.append(runtime.control(q, runtime.velocity(q), force, force_ref))
-        v.append(runtime.last_v)
-        runtime.applied(told)
-    largest = float(np.max(np.abs(artifact.golden_v)))
-    torque = float(np.max(np.abs(np.array(torques) - arm.golden_torque)))
-    return float(np.max(np.abs(np.array(v) - artifact.golden_v))) / largest, torque
+        arm = self.controller.chain
+        return chain.tip(arm, chain.pose(arm, q, OPS)).position

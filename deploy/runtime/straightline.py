@@ -96,8 +96,8 @@ class _Functions:
         return _apply("sqrt", x)
 
 
-functions = _Functions()
-"""The `ops` of whatever is recorded."""
+OPS: Any = _Functions()
+"""The `ops` of whatever is recorded: no more than the robot's law calls, none of which compares."""
 
 
 class Tape:
@@ -140,7 +140,8 @@ def compile_straightline(function: Callable[..., Any], inputs: Sequence[Any]) ->
     """Run a function once on operands and return what it did as straight-line code.
 
     Args:
-        function: Arithmetic on scalars, nested in tuples, lists or NamedTuples as it likes.
+        function: Arithmetic on scalars, nested in tuples, lists or NamedTuples as it likes; None stands for a part
+            that is missing.
         inputs: Its arguments, nested likewise; the numbers in them only hold a place.
 
     Raises:
@@ -151,8 +152,10 @@ def compile_straightline(function: Callable[..., Any], inputs: Sequence[Any]) ->
     number = count()
     operands = [map_leaves(lambda _: Operand(tape, f"x{next(number)}"), each) for each in inputs]
     output = map_leaves(tape.checked, function(*operands))
+    if output is None:
+        raise TypeError("cannot record None: it is neither a number nor an operand")
     needed = _needed(output)
-    body = [f"{_text(tree)} = a{index}" for index, tree in enumerate(operands)]
+    body = [f"{_text(tree, none='_')} = a{index}" for index, tree in enumerate(operands)]
     steps = [f"{result.name} = {text}" for text, result in tape.operations.items() if result.name in needed]
     body += [*steps, f"return {_text(output)}"]
     head = f"def recorded({', '.join(f'a{index}' for index in range(len(operands)))}):"
@@ -163,7 +166,9 @@ def compile_straightline(function: Callable[..., Any], inputs: Sequence[Any]) ->
 
 
 def map_leaves(function: Callable[[Any], Any], tree: Any) -> Any:
-    """The same nesting with every leaf replaced; a NamedTuple stays one, a list becomes a tuple."""
+    """The same nesting with every leaf replaced; a NamedTuple stays one, a list becomes a tuple, None stays."""
+    if tree is None:
+        return None
     if not isinstance(tree, tuple | list):
         return function(tree)
     children = tuple(map_leaves(function, child) for child in tree)
@@ -183,11 +188,11 @@ def _needed(output: Any) -> set[str]:
     return needed
 
 
-def _text(tree: Any) -> str:
+def _text(tree: Any, none: str = "None") -> str:
     """Python text of nested operands and constants; repr of a float is exact."""
     if isinstance(tree, tuple):
-        return f"({''.join(f'{_text(child)}, ' for child in tree)})"
-    return tree.name if isinstance(tree, Operand) else repr(tree)
+        return f"({''.join(f'{_text(child, none)}, ' for child in tree)})"
+    return none if tree is None else tree.name if isinstance(tree, Operand) else repr(tree)
 
 
 def _apply(name: str, x: Any) -> Any:

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 from deploy.controller.limits import Limits
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.transmission import N1, N2, N3, N4
 from jaxmpc.law.vectors import Vector4
-from jaxmpc.world.drive import N1, N2, N3, N4
 
 SLACK = 1e-9
 """For the rounding of floating-point arithmetic [N m]."""

@@ -15,7 +15,7 @@ from functools import lru_cache
 from math import acos, cos, pi, sqrt
 from typing import Any, NamedTuple
 
-from deploy.runtime.straightline import compile_straightline, functions
+from deploy.runtime.straightline import OPS, compile_straightline
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.vectors import Vector3
 
@@ -79,8 +79,8 @@ def _recorded(length: float) -> Callable[[Vector, Vector], Any]:
 
 def _motion(d: float, q: Vector, qd: Vector) -> Any:
     """Tip, its and the elbow's speed, and J Jᵀ: plain arithmetic, recorded."""
-    s1, s2, s3, s4 = map(functions.sin, q)
-    c1, c2, c3, c4 = map(functions.cos, q)
+    s1, s2, s3, s4 = map(OPS.sin, q)
+    c1, c2, c3, c4 = map(OPS.cos, q)
 
     def turned(x: Any, y: Any, z: Any) -> Vector:
         """Ry(q₂) Rz(q₃) (x, y, z)."""
@@ -104,7 +104,7 @@ def _motion(d: float, q: Vector, qd: Vector) -> Any:
 
 def _speed(jacobian: list[Vector], qd: Vector) -> Any:
     velocity = [sum(column[i] * rate for column, rate in zip(jacobian, qd, strict=True)) for i in range(3)]
-    return functions.sqrt(sum(each * each for each in velocity))
+    return OPS.sqrt(sum(each * each for each in velocity))
 
 
 def least_eigenvalue(matrix: tuple[float, ...]) -> float:

@@ -3,23 +3,24 @@
 from collections.abc import Callable
 from typing import Any
 
-from deploy.runtime.straightline import compile_straightline, functions
+from deploy.runtime.straightline import OPS, compile_straightline
 from deploy.twin.settings import TwinSettings
 from jaxmpc.law.scalar import apply, apply_transposed
+from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.law.vectors import Vector4
-from jaxmpc.world import drive, friction
+from jaxmpc.world import friction
 
 _FOUR = (0.0, 0.0, 0.0, 0.0)
 
-motor_angles = compile_straightline(lambda q: apply(drive.JOINT_TO_MOTOR, q), (_FOUR,)).function
+motor_angles = compile_straightline(lambda q: apply(JOINT_TO_MOTOR, q), (_FOUR,)).function
 """Motor angles from joint angles, or velocities from velocities."""
-joint_angles = compile_straightline(lambda theta: apply(drive.MOTOR_TO_JOINT, theta), (_FOUR,)).function
+joint_angles = compile_straightline(lambda theta: apply(MOTOR_TO_JOINT, theta), (_FOUR,)).function
 """Joint angles from motor angles."""
-joint_torques = compile_straightline(lambda torque: apply_transposed(drive.JOINT_TO_MOTOR, torque), (_FOUR,)).function
+joint_torques = compile_straightline(lambda torque: apply_transposed(JOINT_TO_MOTOR, torque), (_FOUR,)).function
 """Joint torques from motor torques."""
 
 
 def friction_step(settings: TwinSettings, h: float) -> Callable[[Vector4, Vector4], Any]:
     """`jaxmpc.world.friction.step` over h [s] as a function of deflections [-] and joint velocities [rad/s]."""
     joints = friction.Friction(settings.coulomb, settings.presliding)
-    return compile_straightline(lambda s, v: friction.step(joints, s, v, h, functions), (_FOUR, _FOUR)).function
+    return compile_straightline(lambda s, v: friction.step(joints, s, v, h, OPS), (_FOUR, _FOUR)).function

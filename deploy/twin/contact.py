@@ -1,9 +1,9 @@
 """Contact of the tip with the heart: where it begins, what it holds on to, how it ends."""
 
 import math
-from types import SimpleNamespace
 
 from deploy.twin.settings import TwinSettings
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.vectors import Vector3
 from jaxmpc.world import tissue
 
@@ -14,7 +14,6 @@ RADIUS = 0.06
 _LARGEST_FORCE = 1e3
 """Where the tissue's force is cut off, so that no fault can make numbers overflow [N]."""
 _NONE: Vector3 = (0.0, 0.0, 0.0)
-_FLOATS = SimpleNamespace(sqrt=math.sqrt, maximum=max, exp=lambda x: math.exp(min(x, 50.0)))
 
 
 class TwinContact:
@@ -61,8 +60,8 @@ class TwinContact:
         if not self.touching:
             return _NONE
         now = self._memory, (x, y, z), (speed[0] - rate[0], speed[1] - rate[1], speed[2] - rate[2])
-        force = tissue.force(self._kind, self._attached, self._tissue, *now, _FLOATS)
-        self._memory = tissue.relax(self._kind, self._attached, self._tissue, *now, h, _FLOATS)
+        force = tissue.force(self._kind, self._attached, self._tissue, *now, FLOATS)
+        self._memory = tissue.relax(self._kind, self._attached, self._tissue, *now, h, FLOATS)
         if self._attached and force[2] > self._pull_off:
             self.touching, self._memory = False, tissue.init(self._kind, 0.0)
             return _NONE

@@ -1,17 +1,17 @@
 """The force sensor's mechanics: inertia and weight beyond it, low-pass, noise, resolution."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 
 from deploy.twin.settings import TwinSettings
+from jaxmpc.law.measurement import lowpass_pole
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.vectors import Vector3
-from jaxmpc.world import drive, sensor
+from jaxmpc.world import sensor
 
 GRAVITY = 9.805
 """libbarrett's [m/s²]."""
-_FLOATS = SimpleNamespace(floor=math.floor, where=lambda condition, this, that: this if condition else that)
 _BLOCK = 256
 
 
@@ -19,9 +19,9 @@ class ForceSensorModel:
     """Force on the tissue → what is read of it, in the world's axes [N]."""
 
     def __init__(self, settings: TwinSettings) -> None:
-        pole = drive.pole(2.0 * math.pi * settings.lowpass_hz, 1e-3)
-        self._sensor = sensor.SensorModel(pole, settings.lsb, settings.beyond_sensor, (1.0, 0.0))
-        self._state = sensor.init(False, settings.beyond_sensor > 0.0, 0.0)
+        pole = lowpass_pole(2.0 * math.pi * settings.lowpass_hz, 1e-3, FLOATS)
+        self._sensor = sensor.SensorModel(pole, settings.lsb, settings.beyond_sensor)
+        self._state = sensor.init(settings.beyond_sensor > 0.0, 0.0)
         self._noise, self._random = settings.noise, np.random.default_rng([settings.seed, 1])
         x, y, z = settings.bias
         # What lies beyond hangs on the sensor as if the tissue pulled the arm down: y = K_s d points up then.
@@ -39,5 +39,5 @@ class ForceSensorModel:
             self._drawn = self._random.normal(0.0, self._noise, (_BLOCK, 3)).tolist()
         felt = (force[0] + self._offset[0], force[1] + self._offset[1], force[2] + self._offset[2])
         noise = self._drawn.pop()
-        (x, y, z), self._state = sensor.read(self._sensor, self._state, felt, velocity, noise, 1e-3, _FLOATS)
+        (x, y, z), self._state = sensor.read(self._sensor, self._state, felt, velocity, noise, 1e-3, FLOATS)
         return x, y, z

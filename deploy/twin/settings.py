@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.law.transmission import IPNM
 from jaxmpc.law.vectors import Vector3, Vector4
-from jaxmpc.world import drive, friction, tissue
+from jaxmpc.world import friction, tissue
 from jaxmpc.world.arm import TOOL_MASS
 
 Rotation = tuple[Vector3, Vector3, Vector3]
@@ -85,7 +86,7 @@ class TwinSettings:
     """"world": the sensor keeps its direction, as in the simulator; "tool": it turns with the forearm."""
     counts: int = 4096
     """CTS, encoder counts per motor turn."""
-    ipnm: Vector4 = (drive.IPNM,) * 4
+    ipnm: Vector4 = (IPNM,) * 4
     """Torque units per newton metre of each motor [1/(N m)]."""
     max_torque: Vector4 = (4860.0, 4860.0, 4860.0, 4320.0)
     """MT, the pucks' torque cap [units]."""

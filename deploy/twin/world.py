@@ -20,8 +20,9 @@ from deploy.twin.contact import TwinContact
 from deploy.twin.force_sensor_model import ForceSensorModel
 from deploy.twin.heart import TwinHeart
 from deploy.twin.settings import HOME, TwinSettings
+from jaxmpc.law.transmission import JOINT_TO_MOTOR
 from jaxmpc.law.vectors import Vector3, Vector4
-from jaxmpc.world import drive, friction
+from jaxmpc.world import friction
 from jaxmpc.world.arm import mjcf, tip_at
 
 TICK = 1e-3
@@ -144,7 +145,7 @@ class TwinPhysics:
 
     def _brake(self, braked: tuple[bool, ...]) -> None:
         """Friction of shorted motors at the joints, Tᵀ diag(Kt²/R) T; one of motors 2 and 3 alone couples J2 and J3."""
-        T: np.ndarray = np.array(drive.JOINT_TO_MOTOR)
+        T: np.ndarray = np.array(JOINT_TO_MOTOR)
         friction = TORQUE_CONSTANT**2 / WINDING * T.T @ np.diag(np.array(braked, float)) @ T
         self._braked, self._coupling = braked, friction - np.diag(np.diag(friction))
         self._coupled = bool(self._coupling.any())

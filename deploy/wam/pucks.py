@@ -10,8 +10,8 @@ from deploy.puck import properties
 from deploy.puck.codec import LARGEST_TORQUE, Units
 from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law.scalar import apply, apply_transposed
+from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.law.vectors import Vector4
-from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 
 IPNM_RANGE: Final = (2000, 3500)
 """Torque units per N m that any source knows of, 2472 to 2755, and some room [1/(N m)] (wam.md §2.5)."""

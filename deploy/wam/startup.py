@@ -19,8 +19,8 @@ from deploy.wam.arm import WamArm
 from deploy.wam.dialogue import NS, Clock, Dialogue
 from deploy.wam.pucks import PuckInfo, Pucks
 from jaxmpc.law.scalar import apply
+from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.law.vectors import Vector4
-from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 
 HOME: Final[Vector4] = (0.0, -2.0, 0.0, 3.13)
 """Joint angles of libbarrett's home position [rad]."""

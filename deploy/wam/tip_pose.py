@@ -8,7 +8,7 @@ The tool's axes are those of the forearm: z along it, y the elbow's axis. With t
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from deploy.runtime.straightline import compile_straightline, functions
+from deploy.runtime.straightline import OPS, compile_straightline
 from jaxmpc.law import chain as arm
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.scalar import apply, matmul
@@ -40,8 +40,8 @@ def tip_kinematics(chain: Chain) -> Callable[[Vector4, Vector4], TipKinematics]:
     """
 
     def motion(q: Any, qd: Any) -> Any:
-        at_tip = arm.tip(chain, arm.pose(chain, q, functions))
-        return at_tip.position, apply(at_tip.jacobian, qd), tool_axes(q, functions)
+        at_tip = arm.tip(chain, arm.pose(chain, q, OPS))
+        return at_tip.position, apply(at_tip.jacobian, qd), tool_axes(q, OPS)
 
     run = compile_straightline(motion, ((0.0,) * 4, (0.0,) * 4)).function
     return lambda q, qd: TipKinematics(*run(q, qd))

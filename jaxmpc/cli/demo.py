@@ -132,8 +132,8 @@ def _before_after(folder: Path, text: "Params", tuned: "TuneResult") -> tuple[fl
 
 
 def _freeze_and_replay(folder: Path, params: "Params") -> bool:
-    from deploy.controller.artifact import load
-    from deploy.runtime.linear import replay
+    from deploy.controller.file import load
+    from deploy.controller.golden import replay
     from jaxmpc import Experiment
     from jaxmpc.cli.freeze import freeze_controller
 

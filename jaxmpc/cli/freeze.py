@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from jaxmpc.law.cascade import Gains
     from jaxmpc.law.gain_backoff import GainBackoff
     from jaxmpc.synthesis.params import Params
+    from jaxmpc.world.loop_path import LoopPath
 
 STIFFNESSES = 33
 """Between the softest and the hardest tissue, log-spaced, besides the experiment's own."""
@@ -83,7 +84,7 @@ def freeze_controller(
         path: Where to.
         params: One controller.
         experiment: Its stiffnesses, sampling and delay are what is promised; its run is the golden trace. On the
-            arm, its arm, posture and velocity filter are what the controller believes in.
+            arm, its arm and posture are the controller's nominal ones.
         floor: Margins to be kept at every stiffness.
         ideal: Whether the declared margins are those of the ideal loop.
         limits: A TOML file of limits that differ from the default ones.
@@ -93,6 +94,7 @@ def freeze_controller(
             where nothing would guard it; nothing has been written.
     """
     from deploy.controller.freeze import freeze
+    from deploy.controller.judged_loop import JudgedLoop
     from deploy.controller.margin_floor import check, plain_floor
     from jaxmpc import __version__, design
     from jaxmpc.export.golden import law_trace, simulated_run
@@ -108,10 +110,11 @@ def freeze_controller(
     if params.guarded and not on_arm:
         remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
         raise InputError("guarded", params.guarded, "false where no arm is driven", remedy)
-    arm = _believed(experiment, limits) if on_arm else None
-    rows = _rows(params, experiment, ideal)
+    arm = nominal_arm(experiment, limits) if on_arm else None
+    loop = experiment.loop_path(ideal)
+    rows = _rows(params, experiment, loop)
     check(rows, plain_floor(floor))  # before the long part
-    gains, K2 = design(params, experiment.timing), float(params.K2)
+    gains, K2 = design(params, experiment.timing, loop.force_filter), float(params.K2)
     if arm is None:
         force, wanted = (_cut(experiment, signal) for signal in simulated_run(params, experiment))
         v = law_trace(gains, force, wanted, experiment.reference.preview)
@@ -127,6 +130,7 @@ def freeze_controller(
         gains,
         experiment.sampling_time,
         K2,
+        JudgedLoop(int(loop.delay), ideal, loop.velocity_cutoff, loop.sensor_cutoff),
         params.to_dict(),
         rows,
         floor,
@@ -137,7 +141,7 @@ def freeze_controller(
     )
 
 
-def _rows(params: "Params", experiment: "Experiment", ideal: bool) -> list[dict[str, Any]]:
+def _rows(params: "Params", experiment: "Experiment", loop: "LoopPath") -> list[dict[str, Any]]:
     """Margins of the experiment's loop at its stiffnesses and between them."""
     import numpy as np
 
@@ -146,19 +150,19 @@ def _rows(params: "Params", experiment: "Experiment", ideal: bool) -> list[dict[
 
     between = np.geomspace(min(experiment.stiffness), max(experiment.stiffness), STIFFNESSES)
     stiffness = np.unique([*experiment.stiffness, *between])
-    found = margins(params, stiffness, path=experiment.loop_path(ideal))
+    found = margins(params, stiffness, path=loop)
     rows: list[dict[str, Any]] = []
     for i, K_s in enumerate(stiffness.tolist()):
         row = {name: float(getattr(found, name)[i]) for name in found._fields if name != "status"}
         if not row["spectral_radius"] < 1.0:
             remedy = "Tune it over this stiffness, or promise a narrower set."
             raise InputError("spectral radius", f"{row['spectral_radius']:.4f} at {K_s:.4g} N/m", "below 1", remedy)
-        rows.append({"stiffness": K_s, "delay": experiment.delay, "ideal": ideal, **row})
+        rows.append({"stiffness": K_s, **row})
     return rows
 
 
-def _believed(experiment: "Experiment", limits: Path | None) -> dict[str, Any]:
-    """What the controller is to believe of the experiment's arm, and the limits there."""
+def nominal_arm(experiment: "Experiment", limits: Path | None) -> dict[str, Any]:
+    """The controller's model of the experiment's arm, and the limits there: entries of `ArmModel` but its trace."""
     from deploy.controller.arm_model import ROBOT
     from jaxmpc.experiment.tables import robot_of
     from jaxmpc.world.arm import chain
@@ -171,7 +175,6 @@ def _believed(experiment: "Experiment", limits: Path | None) -> dict[str, Any]:
         "nominal": robot.nominal,
         "compensated": experiment.arm.compensation > 0.0,
         "posture": robot.posture,
-        "velocity_cutoff": experiment.velocity_lowpass,
         "encoder_counts": experiment.arm.encoder_counts,
         "limits": _limits(robot.touch, limits),
     }

@@ -11,9 +11,8 @@ from jaxmpc.files.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from deploy.controller.artifact import Artifact
     from deploy.flight.recorder import FlightRecording
-    from deploy.flight.replay import Inputs
+    from jaxmpc.law.recorded import RecordedInputs
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +31,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: The recording or the controller is not what it must be, or they do not belong together.
     """
-    from deploy.controller.artifact import ArtifactError, load
+    from deploy.controller.file import ArtifactError, load
+    from deploy.controller.runtimes import flown_controller
     from deploy.flight.recorder import RecordingError, read
     from deploy.flight.replay import compare, inputs_of, table, through_runtime
 
@@ -52,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
     _introduce(recording, inputs)
     again = {"runtime": through_runtime(inputs, artifact)}
     if find_spec("jax"):
-        again["simulator's law"] = _through_jax(inputs, artifact)
+        from jaxmpc.export.replay import replay_law
+
+        again["simulator's law"] = replay_law(*flown_controller(artifact), inputs)
     else:
         print("simulator's law: not compared, jax is not installed here")
     rows = {name: compare(recording, inputs, signals, args.tolerance) for name, signals in again.items()}
@@ -74,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     return 1 if parted else 0
 
 
-def _introduce(recording: "FlightRecording", inputs: "Inputs") -> None:
+def _introduce(recording: "FlightRecording", inputs: "RecordedInputs") -> None:
     """Print what the file holds."""
     header = recording.header
     length = f"{len(inputs.time)} samples"
@@ -87,30 +89,8 @@ def _introduce(recording: "FlightRecording", inputs: "Inputs") -> None:
         print(f"forces missing in contact, bridged: {missing}")
 
 
-def _through_jax(inputs: "Inputs", artifact: "Artifact") -> dict[str, "np.ndarray"]:
-    import numpy as np
-
-    from jaxmpc.export.replay import RecordedInputs, replay_law
-    from jaxmpc.law.cascade import constant_reference
-
-    arm = artifact.arm
-    assert arm is not None
-    if not inputs.contact.any():
-        return {}
-    before = np.concatenate([np.zeros((1, 3)), inputs.a[:-1]])
-    wanted = inputs.force_ref if artifact.preview else inputs.force_ref[:, :, None]
-    # A missing force stays NaN. Anything else that is none would spread, also from where it is not chosen.
-    numbers = [np.nan_to_num(row) for row in (inputs.q, inputs.qd, wanted, inputs.applied, before)]
-    q, qd, wanted, applied, before = numbers
-    gains = artifact.gains if artifact.preview else constant_reference(artifact.gains)
-    states = inputs.contact, inputs.enters, inputs.servo
-    flown = RecordedInputs(q, qd, inputs.force, wanted, applied, before, *states, inputs.gain)
-    found = replay_law(arm.chain, arm.nominal, arm.posture, gains, artifact.K2, arm.compensated, flown)
-    return {name: np.where(inputs.contact[:, None], values, np.nan) for name, values in found.items()}
-
-
 def _draw(
-    path: Path, recording: "FlightRecording", inputs: "Inputs", again: dict[str, dict[str, "np.ndarray"]]
+    path: Path, recording: "FlightRecording", inputs: "RecordedInputs", again: dict[str, dict[str, "np.ndarray"]]
 ) -> None:
     """What flew and what was computed anew, one plot a signal."""
     from matplotlib.figure import Figure

@@ -18,7 +18,7 @@ from jaxmpc.world.heart.motion import displacement
 def program_spec(experiment: Experiment) -> ProgramSpec:
     """The structure of an experiment."""
     on_arm = experiment.physics != "linear"
-    robot = kind_of(experiment.arm, experiment.tissue, experiment.sensor.kalman > 0.0) if on_arm else None
+    robot = kind_of(experiment.arm, experiment.tissue) if on_arm else None
     engine = "mjx" if experiment.physics == "mjx" else "scan"
     return ProgramSpec(engine, experiment.reference.preview, robot)
 

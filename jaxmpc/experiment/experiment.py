@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc.experiment.reference import Reference, wanted_force
-from jaxmpc.experiment.tables import ArmSettings, TissueSettings
+from jaxmpc.experiment.tables import ArmSettings, TissueSettings, force_filter
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import AXES, HP_MAX
 from jaxmpc.synthesis.params import Timing
@@ -31,7 +31,7 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Cut-off of the built-in low-pass [Hz]; 0 is none. None is the JR3's fastest, 500, and none with ideal damping."""
     kalman: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 0.0
     """Change of the force rate per sample that a Kalman filter on the measured force assumes [N/s]; 0 is no filter.
-    On the arm alone."""
+    Part of the controller, on the linear loop as on the arm."""
     seed: Seed = 0
 
 
@@ -107,8 +107,15 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         """
         if ideal is None:
             ideal = self.physics == "linear" and self.damping == "ideal"
-        cutoff, lowpass_hz = self.velocity_lowpass, self.sensor.lowpass_hz
-        return loop_path(self.sampling_time, self.delay, ideal, velocity_cutoff=cutoff, lowpass_hz=lowpass_hz)
+        sensor, T_s = self.sensor, self.sampling_time
+        return loop_path(
+            T_s,
+            self.delay,
+            ideal,
+            velocity_cutoff=self.velocity_lowpass,
+            lowpass_hz=sensor.lowpass_hz,
+            force_filter=force_filter(sensor.kalman, sensor.noise, T_s),
+        )
 
     @property
     def steps(self) -> int:

@@ -11,8 +11,13 @@ import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.law.computed_torque import Nominal
+from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.friction_compensation import NominalFriction
+from jaxmpc.law.measurement import Measurement, lowpass_pole
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.scalar import Vector
+from jaxmpc.law.torque_limits import TorqueLimits
+from jaxmpc.law.transmission import IPNM, MOTOR_TORQUE_LIMIT
 from jaxmpc.world import drive
 from jaxmpc.world.arm import TOOL_MASS, joint_ranges, link_inertias, posture_at, tip_at
 from jaxmpc.world.friction import Friction
@@ -117,9 +122,9 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Mass at the tip that only the controller believes in [kg]."""
     encoder_counts: Annotated[int, msgspec.Meta(ge=0, le=10_000_000)] = 4096
     """Per motor turn; 0 is a perfect encoder."""
-    torque_lsb: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 1.0 / drive.IPNM
+    torque_lsb: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 1.0 / IPNM
     """Motor torque per unit of the command [N m]; 0 is a perfect one."""
-    torque_limit: Torques = drive.TORQUE_LIMIT
+    torque_limit: Torques = MOTOR_TORQUE_LIMIT
     """Largest torque of each motor [N m]."""
     cable_hz: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0
     """Cable mode of each joint against its locked motor [Hz] (prior 15–60); 0 is a rigid cable."""
@@ -148,10 +153,10 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return posture_at(self.target, self.posture)
 
 
-def kind_of(arm: ArmSettings, tissue: TissueSettings, kalman: bool) -> RobotStructure:
+def kind_of(arm: ArmSettings, tissue: TissueSettings) -> RobotStructure:
     """What of the settings makes a program of its own."""
     cable, tool_inertia = arm.cable_hz > 0.0, arm.beyond_sensor > 0.0
-    structure = cable, kalman, tool_inertia, arm.integrator, arm.substeps, arm.compensation > 0.0
+    structure = cable, tool_inertia, arm.integrator, arm.substeps, arm.compensation > 0.0
     return RobotStructure(tissue.kind, tissue.attached, *structure)
 
 
@@ -167,24 +172,17 @@ def softening(tissue: TissueSettings, t: np.ndarray) -> np.ndarray:
 def robot_of(experiment: "Experiment") -> Robot:
     """The constants of an experiment's world; the stiffness is left open."""
     arm, tissue, sensor, T_s = experiment.arm, experiment.tissue, experiment.sensor, experiment.sampling_time
-    posture = arm.resting()
+    posture, path = arm.resting(), experiment.loop_path()
     return Robot(
-        drive=drive.Drive(
-            T_s,
-            drive.angle_lsb(arm.encoder_counts),
-            drive.pole(experiment.velocity_lowpass, T_s),
-            arm.torque_lsb,
-            arm.torque_limit,
-        ),
+        measurement=Measurement(T_s, lowpass_pole(path.velocity_cutoff, T_s, FLOATS)),
+        drive=drive.Drive(drive.angle_lsb(arm.encoder_counts), arm.torque_lsb),
+        limits=TorqueLimits((float("inf"),) * 4, (float("inf"),) * 4, arm.torque_limit),
         friction=Friction(arm.coulomb, arm.presliding),
         viscous=arm.viscous,
         cable=_cable(arm, posture),
         tool_mass=arm.tool_mass - TOOL_MASS,
         sensor=SensorModel(
-            drive.pole(experiment.loop_path().sensor_cutoff, T_s),
-            sensor.lsb,
-            arm.beyond_sensor,
-            kalman_gains(sensor.kalman, sensor.noise, T_s) if sensor.kalman else (1.0, 0.0),
+            lowpass_pole(experiment.loop_path().sensor_cutoff, T_s, FLOATS), sensor.lsb, arm.beyond_sensor
         ),
         tissue=Tissue(0.0, tissue.constants),
         nominal=Nominal(
@@ -215,8 +213,8 @@ def robot_on_its_tissue(experiment: "Experiment") -> Robot:
     return robot._replace(tissue=robot.tissue._replace(stiffness=experiment.stiffness[0]))
 
 
-def kalman_gains(rate_change: float, noise: float, T_s: float) -> tuple[float, float]:
-    """Steady gains [-] and [1/s] of a filter whose model is a force with a slowly changing rate.
+def force_filter(rate_change: float, noise: float, T_s: float) -> ForceFilter | None:
+    """Steady Kalman filter of a force with a slowly changing rate; None for a change of 0.
 
     Args:
         rate_change: Standard deviation of the rate's change per sample [N/s].
@@ -225,11 +223,13 @@ def kalman_gains(rate_change: float, noise: float, T_s: float) -> tuple[float, f
     """
     from scipy.linalg import solve_discrete_are
 
+    if not rate_change:
+        return None
     A, C = np.array([[1.0, T_s], [0.0, 1.0]]), np.array([[1.0, 0.0]])
     R = max(noise, 1e-6) ** 2
     P = solve_discrete_are(A.T, C.T, np.diag([0.0, rate_change**2]), np.array([[R]]))
-    gain = (P @ C.T / (C @ P @ C.T + R)).ravel()
-    return float(gain[0]), float(gain[1])
+    force_gain, rate_gain = (P @ C.T / (C @ P @ C.T + R)).ravel().tolist()
+    return ForceFilter(T_s, force_gain, rate_gain)
 
 
 def _cable(arm: ArmSettings, posture: Vector) -> Cable:

@@ -11,15 +11,19 @@ from jaxmpc.engine.base import scalars
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.tables import robot_of
-from jaxmpc.law import cascade, force_control, gain_backoff
+from jaxmpc.law import cascade, entry, force_control, torque_limits
 from jaxmpc.law.cascade import Gains
+from jaxmpc.law.force_control import Controller
+from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import drive as drives
 from jaxmpc.world.arm import chain
-from jaxmpc.world.robot import Robot
 from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
+
+LIMITED_ABOVE = 0.9
+"""Quantile of the changes of a joint's torque above which the golden trace limits them [-]."""
 
 
 class ArmRun(NamedTuple):
@@ -41,7 +45,7 @@ class ArmAnswer(NamedTuple):
     torque: np.ndarray
     """Joint torques wanted, shape (steps, 4) [N m]."""
     applied: np.ndarray
-    """Those within the motors' limits and rounded to whole units, of which the observers are told [N m]."""
+    """Those that the limits let pass, of which the observers are told, shape (steps, 4) [N m]."""
 
 
 @in_float64
@@ -102,7 +106,7 @@ def law_trace(gains: Gains, force: np.ndarray, force_ref: np.ndarray, preview: b
         return cascade.step(apart, state, now[0], tuple(now[1]))
 
     def axis(force: Any, ref: Any) -> Any:
-        return jax.lax.scan(one, cascade.init(force[0], cascade.order(apart)), (force, ref))[1]
+        return jax.lax.scan(one, cascade.init(apart, force[0]), (force, ref))[1]
 
     apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
     wanted = force_ref if preview else force_ref[:, :, None]
@@ -111,55 +115,45 @@ def law_trace(gains: Gains, force: np.ndarray, force_ref: np.ndarray, preview: b
 
 @in_float64
 def arm_law_trace(gains: Gains, K2: float, experiment: Experiment, run: ArmRun) -> ArmAnswer:
-    """Answers of the JAX-traced law of the whole tick to a recorded run, after a start at its first sample.
+    """Answers of the JAX-traced law of the whole tick to a recorded run, entered in contact at its first sample.
+
+    So that the trace tells what the observers are told, the limits are so tight that they act every few samples.
 
     Args:
         gains: One controller.
         K2: Damping [1/s].
-        experiment: Its arm is what the controller believes in.
+        experiment: Its arm is the controller's nominal one.
         run: What was read.
     """
     preview, compensated = experiment.reference.preview, experiment.arm.compensation > 0.0
-    apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
-    # What was read has been rounded by the encoders already.
     robot = robot_of(experiment)
-    robot = robot._replace(drive=robot.drive._replace(angle_lsb=0.0))
+    apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
+    controller = Controller(chain(), robot.nominal, robot.posture, apart, K2, robot.measurement)
     wanted = run.force_ref if preview else run.force_ref[:, :, None]
-    return ArmAnswer(*map(np.asarray, _arm_law(apart, K2, robot, (run.q, run.force, wanted), compensated=compensated)))
+    inputs = run.q, run.force, wanted
+    free = _arm_law(controller, robot.limits, inputs, compensated=compensated)
+    steps = np.quantile(np.abs(np.diff(free.torque, axis=0)), LIMITED_ABOVE, axis=0)
+    tight = robot.limits._replace(step=tuple(steps.tolist()))
+    return ArmAnswer(*map(np.asarray, _arm_law(controller, tight, inputs, compensated=compensated)))
 
 
-def _arm_law_trace(gains: Gains, K2: Any, robot: Robot, run: Any, compensated: bool) -> Any:
-    arm, order = chain(), cascade.order(gains)
-
-    def one(state: Any, now: Any) -> Any:
-        controller, read = state
+def _arm_law_trace(controller: Controller, limits: TorqueLimits, inputs: Any, compensated: bool) -> ArmAnswer:
+    def one(carry: Any, now: Any) -> tuple[Any, ArmAnswer]:
+        state, last = carry
         q, force, wanted = now
-        read = drives.measure(robot.drive, read, tuple(q), ops)
-        reference = tuple(map(tuple, wanted))
-        controller, command = force_control.step(
-            arm,
-            robot.nominal,
-            robot.posture,
-            gains,
-            K2,
-            controller,
-            tuple(q),
-            read.velocity,
-            tuple(force),
-            reference,
-            ops,
-        )
-        torque = command.torque.torque
-        _, sent = drives.command(robot.drive, torque, ops)
-        controller = force_control.applied(controller, command, sent)
-        return (controller, read), tuple(map(jnp.stack, (command.v, torque, sent)))
+        state, command = force_control.step(controller, state, tuple(q), tuple(force), tuple(map(tuple, wanted)), ops)
+        passed, _ = torque_limits.limit(limits, command.torque.torque, last, ops)
+        state = force_control.applied(state, command, passed)
+        return (state, passed), ArmAnswer(*map(jnp.stack, (command.v, command.torque.torque, passed)))
 
-    zero, q, force = 0.0 * K2, tuple(run[0][0]), tuple(run[1][0])
-    x, y, z = (cascade.init(each, order) for each in force)
-    guard = None if gains.guard is None else gain_backoff.init(zero)
-    controller = force_control.init(zero, order, q if compensated else None)._replace(axes=(x, y, z), guard=guard)
-    start = (controller, drives.DriveState(q, (zero,) * 4))
-    return jax.lax.scan(one, start, run)[1]
+    q, force, wanted = (tuple(signal[0]) for signal in inputs)
+    at_rest = force_control.init(controller, q, force, compensated)
+    start = entry.enter(controller, at_rest, force, (0.0, 0.0, 0.0), ops)
+    # Before the first sample the arm got what it wants there.
+    _, first = force_control.step(controller, start, q, force, tuple(map(tuple, wanted)), ops)
+    carry = jax.tree.map(jnp.asarray, (start, first.torque.torque))
+    answer: ArmAnswer = jax.lax.scan(one, carry, inputs)[1]
+    return answer
 
 
 _arm_law = JitOnce(_arm_law_trace, static_argnames=("compensated",))

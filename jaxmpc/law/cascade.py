@@ -18,14 +18,16 @@ Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
+from jaxmpc.law import force_filter
+from jaxmpc.law.force_filter import FilteredForce, ForceFilter
 from jaxmpc.law.gain_backoff import GainBackoff
+from jaxmpc.law.scalar import Constant, Scalar
 
-Scalar = Any
-"""A float, a traced JAX scalar, a batch of either, or a recorded operation."""
 Vector = Any
 """A sequence of scalars, or an array whose last dimension is that sequence."""
+_PAIR, _ANY = Constant((2,)), Constant((None,))
 
 
 class Gains(NamedTuple):
@@ -35,24 +37,26 @@ class Gains(NamedTuple):
     The MPC output u is a force [N]; for the architecture "mpc" it is the acceleration v itself [m/s²].
     """
 
-    phi: Vector
+    phi: Annotated[Vector, _PAIR]
     """φ₁₂ [s] and φ₂₂ [-] of the contact model Φ₂ = [[1, φ₁₂], [0, φ₂₂]], shape (2,)."""
-    gamma: Vector
+    gamma: Annotated[Vector, _PAIR]
     """Γ₂: force [N] and force rate [N/s] gained in one sample per acceleration [m/s²], shape (2,)."""
-    K: Vector
+    K: Annotated[Vector, _ANY]
     """Kalman gain: force [-], force rate [1/s], delayed input, active state and its differences [m/s²/N], (3 + N,)."""
-    L: Vector
+    L: Annotated[Vector, Constant((3,))]
     """State feedback: force [m/s²/N], force rate [m/s/N], delayed input [-], shape (3,)."""
-    input_gain: Scalar
+    input_gain: Annotated[Scalar, Constant()]
     """g, acceleration per unit of u: L₁ [m/s²/N] makes the DC gain u → y one."""
-    mpc_ref: Vector
+    mpc_ref: Annotated[Vector, _ANY]
     """Weights r on the force reference 1…n samples ahead [-], shape (n,); their sum acts on a constant."""
-    mpc_x: Vector
+    mpc_x: Annotated[Vector, _PAIR]
     """MPC feedback of the estimated force [-] and force rate [s], shape (2,)."""
-    mpc_u: Scalar
+    mpc_u: Annotated[Scalar, Constant()]
     """MPC feedback of the previous output [-]."""
     guard: GainBackoff | None = None
     """What takes the gain back while the force swings; None takes none."""
+    force_filter: ForceFilter | None = None
+    """What the measured force passes before anything else reads it; None passes it as it is."""
 
 
 class AxisState(NamedTuple):
@@ -68,6 +72,8 @@ class AxisState(NamedTuple):
     """Previous command [m/s²]. After a clamp, put what was really applied: `state._replace(v=…)`."""
     trend: tuple[Scalar, ...] = ()
     """Estimated differences of the active state from sample to sample, 1st to (N − 1)-th [m/s²]."""
+    filtered: FilteredForce | None = None
+    """What the filter of the measured force remembers; None without one."""
 
 
 def order(gains: Gains) -> int:
@@ -75,10 +81,28 @@ def order(gains: Gains) -> int:
     return len(gains.K) - 3
 
 
-def init(force: Scalar = 0.0, order: int = 1) -> AxisState:
+def init(gains: Gains, force: Scalar = 0.0) -> AxisState:
     """State at rest in contact with a measured force [N]: no rate, no disturbance, no command."""
     zero = 0.0 * force
-    return AxisState((force, zero, zero), zero, force, zero, (zero,) * (order - 1))
+    filtered = None if gains.force_filter is None else FilteredForce(force, zero)
+    return AxisState((force, zero, zero), zero, force, zero, (zero,) * (order(gains) - 1), filtered)
+
+
+def filter_force(gains: Gains, state: AxisState, force: Scalar) -> tuple[AxisState, Scalar]:
+    """Pass a measured force [N] through its filter, if there is one; returns the force that all else reads [N]."""
+    if gains.force_filter is None or state.filtered is None:
+        return state, force
+    filtered = force_filter.step(gains.force_filter, state.filtered, force)
+    return state._replace(filtered=filtered), filtered.force
+
+
+def expected_force(gains: Gains, state: AxisState) -> Scalar:
+    """What is to be measured at the next sample [N], so that it would correct neither filter nor observer."""
+    if gains.force_filter is not None and state.filtered is not None:
+        return force_filter.expected(gains.force_filter, state.filtered)
+    blind = gains._replace(K=(0.0,) * len(gains.K))  # without a correction, an estimate is a prediction
+    (y, _, _), _, _ = estimate(blind, state, 0.0)
+    return y
 
 
 def estimate(
@@ -103,24 +127,29 @@ def estimate(
 
 
 def step(gains: Gains, state: AxisState, force: Scalar, force_ref: Sequence[Scalar]) -> tuple[AxisState, Scalar]:
-    """Advance one axis by one sample.
+    """Advance one axis by one sample: filter the force, then respond to it.
 
     Args:
         gains: The controller.
         state: What `init` or the last `step` returned.
-        force: Measured force on the tissue yₖ [N].
+        force: Measured force on the tissue [N].
         force_ref: Wanted force 1…n samples ahead [N], as many as `gains.mpc_ref` has weights; one
             value, with the weights summed (`constant_reference`), where the future is not known.
 
     Returns:
         The next state and the acceleration command vₖ [m/s²]; damping is not yet subtracted.
     """
+    return respond(gains, *filter_force(gains, state, force), force_ref)
+
+
+def respond(gains: Gains, state: AxisState, force: Scalar, force_ref: Sequence[Scalar]) -> tuple[AxisState, Scalar]:
+    """Advance one axis by one sample, with the filtered force yₖ [N]; else as `step`."""
     x_hat, p_hat, trend = estimate(gains, state, force)
     u = state.u - gains.mpc_x[0] * x_hat[0] - gains.mpc_x[1] * x_hat[1] - gains.mpc_u * state.u
     for weight, wanted in zip(gains.mpc_ref, force_ref, strict=True):
         u = u + weight * wanted
     v = gains.input_gain * u - gains.L[0] * x_hat[0] - gains.L[1] * x_hat[1] - gains.L[2] * x_hat[2] - p_hat
-    return AxisState(x_hat, p_hat, u, v, trend), v
+    return AxisState(x_hat, p_hat, u, v, trend, state.filtered), v
 
 
 def with_gain(gains: Gains, gain: Scalar) -> Gains:

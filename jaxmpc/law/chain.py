@@ -5,8 +5,9 @@ force, composite rigid bodies for the mass matrix. All constants come from the c
 that are 0 or 1 fold away while the program is traced, and what two functions have in common the compiler merges.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import (
     ZERO,
     Matrix,
@@ -78,7 +79,7 @@ class Dynamics(NamedTuple):
     """Acceleration of the tip at q̈ = 0, J̇q̇, world frame [m/s²]."""
 
 
-def pose(chain: Chain, q: Vector, ops: Any) -> Pose:
+def pose(chain: Chain, q: Vector, ops: Ops) -> Pose:
     """How each link is turned relative to its parent at joint angles q [rad]."""
     turned = []
     for link, angle in zip(chain.links, q, strict=True):

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from jaxmpc.law import chain as arm
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.friction_compensation import NominalFriction
+from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import (
     Matrix,
     Scalar,
@@ -35,12 +36,12 @@ POSTURE_STIFFNESS, POSTURE_DAMPING = 20.0, 9.0
 
 
 class Nominal(NamedTuple):
-    """What the controller believes of the arm; each scalar may be a batch."""
+    """How the controller's model of the arm differs from it; each scalar may be a batch."""
 
     mass_scale: Scalar
     """Mass and inertia of links and tool, as a share of the true ones [-]."""
     tool_error: Scalar
-    """Point mass at the tip that is believed but not there [kg]."""
+    """Point mass at the tip that only the model has [kg]."""
     friction: NominalFriction
     """What is cancelled of the joints' friction, if any."""
 
@@ -55,7 +56,7 @@ class JointTorque(NamedTuple):
     """LDLᵀ factors of the nominal mass matrix."""
 
 
-def tip_velocity(chain: Chain, q: Vector, qd: Vector, ops: Any) -> Vector:
+def tip_velocity(chain: Chain, q: Vector, qd: Vector, ops: Ops) -> Vector:
     """Velocity of the tip [m/s] at measured joint angles [rad] and velocities [rad/s]."""
     return apply(arm.tip(chain, arm.pose(chain, q, ops)).jacobian, qd)
 
@@ -69,26 +70,26 @@ def torque(
     a: Vector,
     force: Vector,
     friction: Vector,
-    ops: Any,
+    ops: Ops,
 ) -> JointTorque:
     """Joint torques for a wanted acceleration of the tip.
 
     Args:
         chain: The arm.
-        nominal: How it is believed to differ.
+        nominal: How the model of it differs.
         posture: Joint angles at which the null space rests, 4 scalars [rad].
         q: Measured joint angles, 4 scalars [rad].
         qd: Measured joint velocities, 4 scalars [rad/s].
         a: Wanted acceleration, 3 scalars [m/s²].
         force: Measured force on the tissue, 3 scalars [N].
         friction: Torques that cancel the friction τ_f, 4 scalars [N m].
-        ops: Module with `sin`, `cos` and `sqrt`.
+        ops: Scalar functions.
     """
     share = nominal.mass_scale
-    believed = arm.with_point_mass(chain, nominal.tool_error / share)
-    at = arm.pose(believed, q, ops)
-    J = arm.tip(believed, at).jacobian
-    found = arm.dynamics(believed, at, qd)
+    model = arm.with_point_mass(chain, nominal.tool_error / share)
+    at = arm.pose(model, q, ops)
+    J = arm.tip(model, at).jacobian
+    found = arm.dynamics(model, at, qd)
     mass = arm.with_diagonal(tuple(scale(share, row) for row in found.mass), chain.armature)
     bias = scale(share, found.bias)
 

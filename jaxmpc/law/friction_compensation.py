@@ -12,8 +12,9 @@ Source: Dahl, The Aerospace Corporation TOR-0158(3107-18)-1, 1968, with exponent
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Scalar, Vector, add, sub
 
 LEAST = 1e-7
@@ -45,25 +46,25 @@ def init(angle: Vector) -> Bristles:
     return Bristles(tuple(0.0 * joint for joint in angle), angle)
 
 
-def step(believed: NominalFriction, state: Bristles, q: Vector, qd: Vector, ops: Any) -> tuple[Bristles, Vector]:
+def step(nominal: NominalFriction, state: Bristles, q: Vector, qd: Vector, ops: Ops) -> tuple[Bristles, Vector]:
     """Advance by one sample.
 
     Args:
-        believed: Constants.
+        nominal: Constants.
         state: What `init` or the last `step` returned.
         q: Measured joint angles, 4 scalars [rad].
         qd: Measured joint velocities, 4 scalars [rad/s].
-        ops: Where `sqrt` is.
+        ops: Scalar functions.
 
     Returns:
         The next state, and the joint torques that cancel the friction [N m].
     """
     slid = sub(q, state.angle)
-    s = tuple(bristle(*joint, LEAST, believed.presliding, ops) for joint in zip(state.deflection, slid, strict=True))
-    return Bristles(s, q), add(_times(believed.coulomb, s), _times(believed.viscous, qd))
+    s = tuple(bristle(*joint, LEAST, nominal.presliding, ops) for joint in zip(state.deflection, slid, strict=True))
+    return Bristles(s, q), add(_times(nominal.coulomb, s), _times(nominal.viscous, qd))
 
 
-def bristle(s: Scalar, slid: Scalar, least: Scalar, z: Scalar, ops: Any) -> Scalar:
+def bristle(s: Scalar, slid: Scalar, least: Scalar, z: Scalar, ops: Ops) -> Scalar:
     """Next deflection of one bristle [-], implicit in it and so within [−1, 1] however far it slid.
 
     Args:
@@ -71,7 +72,7 @@ def bristle(s: Scalar, slid: Scalar, least: Scalar, z: Scalar, ops: Any) -> Scal
         slid: How far the joint moved [rad].
         least: Below which the size of that is rounded off [rad].
         z: Presliding displacement [rad].
-        ops: Where `sqrt` is.
+        ops: Scalar functions.
     """
     return (s * z + slid) / (z + ops.sqrt(slid * slid + least * least))
 

@@ -13,9 +13,10 @@ to fall, it comes back slowly until the force begins to swing again. Without ℓ
 hold the gain down. A gain that falls below the loop's reduction margin makes it swing slowly, which this cannot see.
 """
 
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
-from jaxmpc.law.scalar import Scalar, Vector, sub
+from jaxmpc.law.ops import Ops
+from jaxmpc.law.scalar import Constant, Scalar, Vector, sub
 
 CORNER = 75.0
 """Corner of both filters' stages, 12 Hz [rad/s]: a heart's motion has ended, the modes of cables begin at 15 Hz."""
@@ -32,18 +33,22 @@ LEAST = 0.1
 """g_min [-]."""
 
 
+_SHARE = Constant(low=0.0, below=1.0)
+"""Poles and shares of a sample: below 1, so that the gain stays above its least."""
+
+
 class GainBackoff(NamedTuple):
     """Constants; each may be a batch."""
 
-    corner: Scalar
+    corner: Annotated[Scalar, _SHARE]
     """Pole of each stage of the filters [-]."""
-    forgetting: Scalar
+    forgetting: Annotated[Scalar, _SHARE]
     """α [-]"""
-    sensitivity: Scalar
+    sensitivity: Annotated[Scalar, Constant(low=1e-9)]
     """1/S² [1/N²]"""
-    pace: Scalar
+    pace: Annotated[Scalar, _SHARE]
     """r [-]"""
-    recovery: Scalar
+    recovery: Annotated[Scalar, _SHARE]
     """β [-]"""
 
 
@@ -62,8 +67,8 @@ class BackoffState(NamedTuple):
     """ℓ² [N²]"""
 
 
-def constants(T_s: Scalar, ops: Any) -> GainBackoff:
-    """Constants for a sampling time [s]; `ops` has `exp`."""
+def constants(T_s: Scalar, ops: Ops) -> GainBackoff:
+    """Constants for a sampling time [s]."""
     corner, memory = ops.exp(-CORNER * T_s), ops.exp(-T_s / MEMORY)
     return GainBackoff(corner, 1.0 - memory, 1.0 / LIMIT**2 + 0.0 * T_s, PACE * T_s, T_s / RETURN)
 

@@ -5,14 +5,26 @@ operation). Products with the constants 0 and 1 and sums with 0 vanish while the
 and ones of a robot's geometry cost nothing at run time.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 Scalar = Any
+"""A float, a traced JAX scalar, a batch of either, or a recorded operation."""
 Vector = tuple[Any, ...]
 Matrix = tuple[tuple[Any, ...], ...]
 """Rows of scalars."""
 
 ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+class Constant(NamedTuple):
+    """Shape and bounds of a constant of the law, declared beside its name for whoever reads it from a file."""
+
+    shape: tuple[int | None, ...] = ()
+    """None stands for any length but 0."""
+    low: float | None = None
+    """Least value."""
+    below: float | None = None
+    """What every value is below."""
 
 
 def _is(x: Scalar, constant: float) -> bool:

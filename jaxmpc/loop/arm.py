@@ -4,9 +4,11 @@ from collections.abc import Iterable
 from math import inf
 from typing import Any, NamedTuple
 
-from jaxmpc.law import cascade, force_control
+from jaxmpc.law import force_control, torque_limits
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
+from jaxmpc.law.force_control import Controller, ControllerState
+from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Scalar
 from jaxmpc.loop.linear import HIGHEST_ERROR, HIGHEST_FORCE
 from jaxmpc.world import drive, robot
@@ -71,7 +73,7 @@ class Trouble(NamedTuple):
 class ArmCarry(NamedTuple):
     """State of the whole loop between two samples."""
 
-    controller: force_control.ControllerState
+    controller: ControllerState
     robot: RobotState
     a: Any
     """Accelerations asked at the last sample [m/s²]."""
@@ -95,16 +97,22 @@ class ArmLoop(NamedTuple):
     """Joint accelerations, `jaxmpc.world.robot.accelerate` or another way to them."""
 
 
-def start(loop: ArmLoop, cell: Cell, ops: Any) -> ArmCarry:
+def start(loop: ArmLoop, cell: Cell, ops: Ops) -> ArmCarry:
     """The loop at rest: the tip touches without force."""
     zero = 0.0 * cell.K2
     state = robot.init(loop.chain, loop.structure, cell.robot, zero, ops)
-    resting = state.drive.angle if loop.structure.compensated else None
-    controller = force_control.init(zero, cascade.order(cell.gains), resting, cell.gains.guard is not None)
+    resting = robot.encoders(loop.structure, cell.robot, state, ops)
+    controller = force_control.init(controller_of(loop, cell), resting, (zero,) * 3, loop.structure.compensated)
     return ArmCarry(controller, state, (zero, zero, zero))
 
 
-def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: Any) -> tuple[ArmCarry, ArmSample]:
+def controller_of(loop: ArmLoop, cell: Cell) -> Controller:
+    """The law's constants in one cell."""
+    arm = cell.robot
+    return Controller(loop.chain, arm.nominal, arm.posture, cell.gains, cell.K2, arm.measurement)
+
+
+def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: Ops) -> tuple[ArmCarry, ArmSample]:
     """One sample of the closed loop.
 
     Args:
@@ -117,23 +125,11 @@ def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: An
     chain, structure = loop.chain, loop.structure
     tissue = cell.robot.tissue
     met = cell.robot._replace(tissue=tissue._replace(stiffness=tissue.stiffness * now.softening))
-    force, tip, state = robot.sense(chain, structure, met, carry.robot, now.heart, now.noise, ops)
-    seen = state.drive
-    controller, command = force_control.step(
-        chain,
-        met.nominal,
-        met.posture,
-        cell.gains,
-        cell.K2,
-        carry.controller,
-        seen.angle,
-        seen.velocity,
-        force,
-        now.force_ref,
-        ops,
-    )
-    held, sent = drive.command(met.drive, command.torque.torque, ops)
-    controller = force_control.applied(controller, command, held)
+    force, q, tip, state = robot.sense(chain, structure, met, carry.robot, now.heart, now.noise, ops)
+    controller, command = force_control.step(controller_of(loop, cell), carry.controller, q, force, now.force_ref, ops)
+    passed, _ = torque_limits.limit(met.limits, command.torque.torque, state.pending[0], ops)
+    controller = force_control.applied(controller, command, passed)
+    sent = drive.send(met.drive, passed, ops)
     following = robot.move(chain, structure, met, state, sent, now.between, loop.accelerate, ops)
     gain = 1.0 + 0.0 * cell.K2 if controller.guard is None else controller.guard.gain
     sample = ArmSample(
@@ -157,7 +153,7 @@ def untroubled(like: Scalar) -> Trouble:
     return Trouble(never, never, never)
 
 
-def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, force_limit: Scalar, ops: Any) -> Trouble:
+def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, force_limit: Scalar, ops: Ops) -> Trouble:
     """What has happened first, this sample included."""
     x, y, z = sample.force
     force = ops.sqrt(x * x + y * y + z * z)
@@ -174,6 +170,6 @@ def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, force_limit: S
     )
 
 
-def _largest(values: Iterable[Scalar], ops: Any) -> Scalar:
+def _largest(values: Iterable[Scalar], ops: Ops) -> Scalar:
     x, y, z = map(abs, values)
     return ops.maximum(ops.maximum(x, y), z)

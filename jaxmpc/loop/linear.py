@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
+from jaxmpc.law.ops import Ops
 from jaxmpc.world import contact
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.quantise import quantise
@@ -61,11 +62,11 @@ class LinearCarry(NamedTuple):
 def start(gains: Gains) -> LinearCarry:
     """The loop at rest: the tip touches without force."""
     zero = 0.0 * gains.mpc_u
-    return LinearCarry(cascade.init(zero, cascade.order(gains)), contact.init(zero))
+    return LinearCarry(cascade.init(gains, zero), contact.init(zero))
 
 
 def advance(
-    gains: Gains, world: Contact, lsb: Scalar, carry: LinearCarry, now: AxisSignals, ops: Any
+    gains: Gains, world: Contact, lsb: Scalar, carry: LinearCarry, now: AxisSignals, ops: Ops
 ) -> tuple[LinearCarry, Sample]:
     """One sample of the closed loop.
 

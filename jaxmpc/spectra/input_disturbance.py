@@ -14,7 +14,6 @@ mass matrix makes of a. Friction drags the elbow through the null space: without
 large. J, M and n are those of the resting posture; the heart moves the tip by a few per cent of its reach.
 """
 
-from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +25,7 @@ from jaxmpc.law import chain as arm
 from jaxmpc.law import friction_compensation
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.computed_torque import POSTURE_DAMPING, POSTURE_STIFFNESS
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.scalar import sub
 from jaxmpc.world import friction
 from jaxmpc.world.arm import chain
@@ -33,12 +33,6 @@ from jaxmpc.world.heart.motion import displacement
 from jaxmpc.world.robot import Robot
 
 Trajectory = Float[np.ndarray, "steps joints"]
-
-
-class _Floats:
-    """Scalar functions of plain numbers."""
-
-    sqrt = staticmethod(sqrt)
 
 
 class _Posture(NamedTuple):
@@ -71,13 +65,13 @@ def uncompensated_acceleration(experiment: Experiment) -> Float[np.ndarray, "ste
     T_s = experiment.sampling_time
     robot, truth = robot_of(experiment), chain()
     truth = arm.with_point_mass(truth, robot.tool_mass)
-    believed = arm.with_point_mass(truth, robot.nominal.tool_error / robot.nominal.mass_scale)
-    posture = _posture(truth, believed, robot)
+    model = arm.with_point_mass(truth, robot.nominal.tool_error / robot.nominal.mass_scale)
+    posture = _posture(truth, model, robot)
     x, velocity = displacement(experiment.motion, np.arange(experiment.steps) * T_s)
     q, qd = x @ posture.J_bar.T, velocity @ posture.J_bar.T
 
     at = arm.pose(truth, tuple((q + robot.posture).T), np)
-    bias_error = robot.nominal.mass_scale * _bias(believed, at, qd) - _bias(truth, at, qd)
+    bias_error = robot.nominal.mass_scale * _bias(model, at, qd) - _bias(truth, at, qd)
     restoring = -(POSTURE_STIFFNESS * q + POSTURE_DAMPING * qd)
     given = restoring @ posture.M_n + bias_error - qd * robot.viscous
     eta, etad, rubbing = _null_space(posture, robot, q, qd, given @ posture.n)
@@ -90,11 +84,11 @@ def uncompensated_acceleration(experiment: Experiment) -> Float[np.ndarray, "ste
     return disturbance
 
 
-def _posture(truth: Chain, believed: Chain, robot: Robot) -> _Posture:
+def _posture(truth: Chain, model: Chain, robot: Robot) -> _Posture:
     at = arm.pose(truth, tuple(np.asarray(robot.posture)), np)
     J = np.array(arm.tip(truth, at).jacobian, float)
     M = np.array(arm.mass_matrix(truth, at), float) + np.diag(truth.armature)
-    M_n = robot.nominal.mass_scale * np.array(arm.mass_matrix(believed, at), float) + np.diag(truth.armature)
+    M_n = robot.nominal.mass_scale * np.array(arm.mass_matrix(model, at), float) + np.diag(truth.armature)
     mobility = J @ np.linalg.solve(M, J.T)
     nominal_mobility = J @ np.linalg.solve(M_n, J.T)
     J_bar = np.linalg.solve(M, J.T) @ np.linalg.inv(mobility)
@@ -120,7 +114,7 @@ def _null_space(
         qd: Their velocities [rad/s].
         given: All of nᵀ(Mₙ q̈₀ + r) that neither η nor the friction makes.
     """
-    T_s, believed, pole = robot.drive.T_s, robot.nominal.friction, robot.drive.velocity_pole
+    (T_s, pole), nominal = robot.measurement, robot.nominal.friction
     # Python's own numbers: numpy takes longer than a microsecond for each vector of four.
     n = n_1, n_2, n_3, n_4 = posture.n.tolist()
     inertia = float(posture.n @ posture.M @ posture.n)
@@ -128,18 +122,18 @@ def _null_space(
     damping = POSTURE_DAMPING * held + float(posture.n**2 @ np.asarray(robot.viscous))
     bristles = friction.init()
     cancelled = seen = (0.0,) * 4
-    compensator = friction_compensation.init(cancelled) if any(believed.coulomb) or any(believed.viscous) else None
+    compensator = friction_compensation.init(cancelled) if any(nominal.coulomb) or any(nominal.viscous) else None
     eta = etad = 0.0
     found, rubbing = [], []
     for angles, row, pull in zip(q.tolist(), qd.tolist(), given.tolist(), strict=True):
         found.append((eta, etad))
         moving = [v + share * etad for v, share in zip(row, n, strict=True)]
-        bristles, f = friction.step(robot.friction, bristles, moving, T_s, _Floats)
+        bristles, f = friction.step(robot.friction, bristles, moving, T_s, FLOATS)
         if compensator is not None:
             f = sub(f, cancelled)
             seen = tuple(v + pole * (old - v) for v, old in zip(moving, seen, strict=True))
             turned = tuple(angle + share * eta for angle, share in zip(angles, n, strict=True))
-            compensator, cancelled = friction_compensation.step(believed, compensator, turned, seen, _Floats)
+            compensator, cancelled = friction_compensation.step(nominal, compensator, turned, seen, FLOATS)
         rubbing.append(f)
         dragged = n_1 * f[0] + n_2 * f[1] + n_3 * f[2] + n_4 * f[3]
         etad += T_s * (pull - dragged - POSTURE_STIFFNESS * held * eta - damping * etad) / inertia

@@ -88,7 +88,7 @@ def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0
 @JitOnce
 def _margins(params: Params, stiffness: Any, path: LoopPath) -> Margins:
     def one(p: Params, K_s: Any) -> Margins:
-        gains, residual = design_one(p, path.T_s)
+        gains, residual = design_one(p, path.T_s, 1.0, path.force_filter)
         return margins_one(gains, contact_of(K_s, p.K2, path), path.ideal, residual)
 
     over_stiffness = one

@@ -64,7 +64,7 @@ def closed_loop_matrix(gains: Gains, contact: Contact) -> Float[Array, "n n"]:
         controller, v = cascade.step(gains, controller, force, (zero,))
         return controller, move(contact, state, v)[0]
 
-    return transition_matrix(gains, advance, cascade.init(zero, cascade.order(gains)), init(zero))
+    return transition_matrix(gains, advance, cascade.init(gains, zero), init(zero))
 
 
 def transition_matrix(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
 from jaxmpc.law.cascade import Gains
+from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.synthesis.plant import hold_integrals
 from jaxmpc.world.contact import Contact
 
@@ -49,6 +50,17 @@ def controller_response(gains: Gains, q: Response) -> Response:
     rest = q * q * weight_2 * (gamma_1 * K_2 - gamma_2 * K_1) - (1.0 - K_1) * (m * e * d + from_V)
     rest = rest - m * (q * b * K_3 + (1.0 + q * gains.L[2]) * (q * phi_12 * K_2 + e * K_1))
     response: Response = from_I / (integrators * rest)
+    return response if gains.force_filter is None else response * filter_response(gains.force_filter, q)
+
+
+def filter_response(force_filter: ForceFilter, q: Response) -> Response:
+    r"""Ŷ/Y of the filter of the measured force at q = z⁻¹ [-].
+
+    With d = 1 − q: (K_y d + q K_r T_s)/(d² + q (K_y d + K_r T_s)).
+    """
+    d, of_rate = 1.0 - q, force_filter.rate_gain * force_filter.T_s
+    of_force = force_filter.force_gain * d
+    response: Response = (of_force + q * of_rate) / (d * d + q * (of_force + of_rate))
     return response
 
 

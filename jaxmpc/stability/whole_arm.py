@@ -1,6 +1,6 @@
 """The closed loop of the whole arm as a matrix, cable mode included, by differentiating one sample of the simulation.
 
-Margins see one axis with a rigid arm. Four joints that hang together, masses that are believed wrong and a spring
+Margins see one axis with a rigid arm. Four joints that hang together, masses that are modelled wrong and a spring
 between motor and link are in no such loop, but in the derivative of one sample at rest. Left out is what has no slope:
 quantisers are off, and every joint slides, so that Coulomb friction is a constant and viscous friction stays. A guard
 of the gain has no slope at rest either: the loop is that of the full gain.
@@ -19,6 +19,7 @@ from jaxmpc.experiment.tables import kind_of, robot_on_its_tissue
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
+from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, advance, start
 from jaxmpc.stability.loop import transition_matrix
 from jaxmpc.synthesis import design_one
@@ -97,17 +98,20 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
     """
     if params.batch_shape:
         raise InputError("params", f"a batch {params.batch_shape}", "one controller", "Ask for one after another.")
-    programs = [(kind_of(e.arm, e.tissue, bool(e.sensor.kalman)), e.sampling_time) for e in experiments]
+    programs = [(kind_of(e.arm, e.tissue), e.sampling_time, e.loop_path().force_filter) for e in experiments]
     found = np.zeros(len(experiments), bool)
-    for kind, T_s in dict.fromkeys(programs):
-        mine = [i for i, program in enumerate(programs) if program == (kind, T_s)]
-        matrices = _over_robots(params, robots_of([experiments[i] for i in mine]), T_s, kind=kind)
+    for program in dict.fromkeys(programs):
+        kind, T_s, force_filter = program
+        mine = [i for i, each in enumerate(programs) if each == program]
+        matrices = _over_robots(params, robots_of([experiments[i] for i in mine]), T_s, force_filter, kind=kind)
         found[mine] = radii(np.asarray(matrices)) > 1.0 + ROUNDING
     return found
 
 
-def _matrices(params: Params, robots: Robot, T_s: Any, kind: RobotStructure) -> Float[Array, "robots n n"]:
-    gains, _ = design_one(params, T_s)
+def _matrices(
+    params: Params, robots: Robot, T_s: Any, force_filter: ForceFilter | None, kind: RobotStructure
+) -> Float[Array, "robots n n"]:
+    gains, _ = design_one(params, T_s, force_filter=force_filter)
     return jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, params.K2))(robots)
 
 
@@ -116,12 +120,12 @@ _over_robots = JitOnce(_matrices, static_argnames=("kind",))
 
 def _smooth(robot: Robot) -> Robot:
     """Without what has no slope: quantisers, and Coulomb friction, that of the arm and that which is cancelled."""
-    believed = robot.nominal.friction._replace(coulomb=_NONE)
+    nominal = robot.nominal.friction._replace(coulomb=_NONE)
     return robot._replace(
         drive=robot.drive._replace(angle_lsb=0.0, torque_lsb=0.0),
         sensor=robot.sensor._replace(lsb=(0.0, 0.0, 0.0)),
         friction=robot.friction._replace(coulomb=_NONE),
-        nominal=robot.nominal._replace(friction=believed),
+        nominal=robot.nominal._replace(friction=nominal),
     )
 
 

@@ -12,22 +12,27 @@ from jaxtyping import Array, Float
 
 from jaxmpc.law import gain_backoff
 from jaxmpc.law.cascade import Gains
+from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.quantities import HP_MAX, HU_MAX
 from jaxmpc.synthesis.feedback import state_feedback
 from jaxmpc.synthesis.kalman import active_observer_gain, input_noise_gain
 from jaxmpc.synthesis.mpc import first_move
 from jaxmpc.synthesis.params import Params, Timing
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
+from jaxmpc.xla import ops
 from jaxmpc.xla.precision import in_float64
 
 
-def design_one(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[Gains, Float[Array, ""]]:
+def design_one(
+    params: Params, T_s: Any, mask_width: Any = 1.0, force_filter: ForceFilter | None = None
+) -> tuple[Gains, Float[Array, ""]]:
     """Gains of one controller, and how badly its Riccati equation is missed [-]; float64, traceable.
 
     Args:
         params: One controller, scalars or diagonals of arrays.
         T_s: Sampling time [s].
         mask_width: Softness of the horizons, 1 is exact [samples].
+        force_filter: What the measured force passes first; the design does not know of it.
     """
     p = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), params)
     lam, delta = jnp.broadcast_to(p.lam, (HU_MAX,)), jnp.broadcast_to(p.delta, (HP_MAX,))
@@ -38,22 +43,23 @@ def design_one(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[Gains, 
     phi = jnp.stack([Phi[0, 1], Phi[1, 1]])
     zero, one = jnp.zeros_like(p.T_cl), jnp.ones_like(p.T_cl)
 
-    guard = gain_backoff.constants(jnp.asarray(T_s), jnp) if p.guarded else None
+    guard = gain_backoff.constants(jnp.asarray(T_s), ops) if p.guarded else None
 
     if p.architecture == "mpc":
         delayed = jnp.block([[Phi, Gamma[:, None]], [jnp.zeros((1, 3))]])
         mpc_ref, mpc_x, mpc_u = first_move(delayed, jnp.stack([zero, zero, one]), lam, delta, p.Hp, p.Hu, mask_width)
         # The delayed input *is* the previous output here, so its weight moves from mₓ to mᵤ.
-        return Gains(phi, Gamma, K, jnp.zeros(3), one, mpc_ref, mpc_x[:2], mpc_u + mpc_x[2]), residual
+        move = mpc_ref, mpc_x[:2], mpc_u + mpc_x[2]
+        return Gains(phi, Gamma, K, jnp.zeros(3), one, *move, force_filter=force_filter), residual
 
     L = state_feedback(Phi, Gamma, p.T_cl, T_s)
     if p.architecture == "aob":
         # u = F_d: the move cancels the previous output and takes the next reference as it is.
         mpc_ref = jnp.zeros(HP_MAX).at[0].set(1.0)
-        return Gains(phi, Gamma, K, L, L[0], mpc_ref, jnp.zeros(2), one, guard), residual
+        return Gains(phi, Gamma, K, L, L[0], mpc_ref, jnp.zeros(2), one, guard, force_filter), residual
     A, B = closed_loop_model(p.T_cl, T_s)
     mpc_ref, mpc_x, mpc_u = first_move(A, B, lam, delta, p.Hp, p.Hu, mask_width)
-    return Gains(phi, Gamma, K, L, L[0], mpc_ref, mpc_x, mpc_u, guard), residual
+    return Gains(phi, Gamma, K, L, L[0], mpc_ref, mpc_x, mpc_u, guard, force_filter), residual
 
 
 def over_batch(function: Any, batch_shape: tuple[int, ...]) -> Any:
@@ -64,13 +70,13 @@ def over_batch(function: Any, batch_shape: tuple[int, ...]) -> Any:
 
 
 @jax.jit
-def _design(params: Params, T_s: Any) -> Gains:
-    gains: Gains = over_batch(lambda p: design_one(p, T_s)[0], params.batch_shape)(params)
+def _design(params: Params, T_s: Any, force_filter: ForceFilter | None) -> Gains:
+    gains: Gains = over_batch(lambda p: design_one(p, T_s, 1.0, force_filter)[0], params.batch_shape)(params)
     return gains
 
 
 @in_float64
-def design(params: Params, timing: Timing | None = None) -> Gains:
+def design(params: Params, timing: Timing | None = None, force_filter: ForceFilter | None = None) -> Gains:
     """Gains of a controller, or of a batch of them.
 
     Any mix of parameters and horizons of one batch size runs the same compiled program. Differentiable
@@ -79,9 +85,11 @@ def design(params: Params, timing: Timing | None = None) -> Gains:
     Args:
         params: The parameters; leading dimensions are a batch.
         timing: Sampling; the design assumes a delay of one sample, as the paper does.
+        force_filter: What the measured force passes first (`Experiment.loop_path().force_filter`); none by
+            default.
 
     Returns:
         L (…, 3), K (…, 3 + N), mpc_ref (…, 64), mpc_x (…, 2), mpc_u (…), … in float64; see `Gains`.
     """
-    gains: Gains = _design(params, (timing or Timing()).T_s)
+    gains: Gains = _design(params, (timing or Timing()).T_s, force_filter)
     return gains

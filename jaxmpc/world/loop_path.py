@@ -1,4 +1,4 @@
-"""What one loop passes on its way from the command to the measurement: sampling, delay, and two low-pass filters.
+"""What one loop passes on its way from the command to the measurement: sampling, delay and filters.
 
 Whoever judges, tunes, simulates or freezes a loop takes it from here, so that all of them mean the same one.
 """
@@ -8,6 +8,7 @@ from typing import Any
 import equinox as eqx
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.world.contact import hertz
 
 VELOCITY_CUTOFF = 180.0
@@ -25,6 +26,7 @@ class LoopPath(eqx.Module):
         velocity_cutoff: Low-pass of the velocity [rad/s]; unused with ideal damping.
         sensor_cutoff: Low-pass of the force sensor [rad/s]; 0 is none.
         ideal: Whether the damping is the paper's ideal one (6), or goes through the measured velocity.
+        force_filter: What the controller makes the measured force pass; None is nothing.
     """
 
     T_s: Any
@@ -32,6 +34,7 @@ class LoopPath(eqx.Module):
     velocity_cutoff: Any
     sensor_cutoff: Any
     ideal: bool = eqx.field(static=True)
+    force_filter: ForceFilter | None = None
 
 
 def loop_path(
@@ -41,6 +44,7 @@ def loop_path(
     *,
     velocity_cutoff: float = VELOCITY_CUTOFF,
     lowpass_hz: float | None = None,
+    force_filter: ForceFilter | None = None,
 ) -> LoopPath:
     """Path of a loop as it runs, or of the paper's ideal one.
 
@@ -51,6 +55,7 @@ def loop_path(
         velocity_cutoff: Low-pass of the velocity [rad/s].
         lowpass_hz: Low-pass of the force sensor [Hz], 0 is none. None is `SENSOR_LOWPASS_HZ` as it runs, and none in
             the ideal loop.
+        force_filter: What the controller makes the measured force pass; None is nothing.
 
     Raises:
         InputError: The delay is not 1 or 2.
@@ -59,4 +64,4 @@ def loop_path(
         raise InputError("delay", delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")
     if lowpass_hz is None:
         lowpass_hz = 0.0 if ideal else SENSOR_LOWPASS_HZ
-    return LoopPath(T_s, float(delay), velocity_cutoff, hertz(lowpass_hz), ideal)
+    return LoopPath(T_s, float(delay), velocity_cutoff, hertz(lowpass_hz), ideal, force_filter)

@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 from jaxmpc.law import chain as arm
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.computed_torque import Nominal
+from jaxmpc.law.measurement import Measurement
+from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import (
     Scalar,
     Vector,
@@ -29,6 +31,7 @@ from jaxmpc.law.scalar import (
     sub,
     times,
 )
+from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.world import drive as drives
 from jaxmpc.world import friction as frictions
 from jaxmpc.world import sensor as sensors
@@ -47,7 +50,6 @@ class RobotStructure(NamedTuple):
     attached: bool = True
     """Whether the tip cannot leave the tissue, as in the paper."""
     cable: bool = False
-    kalman: bool = False
     tool_inertia: bool = False
     """Whether the force sensor reads the inertia of a tool beyond it."""
     integrator: str = "leapfrog"
@@ -68,7 +70,11 @@ class Cable(NamedTuple):
 class Robot(NamedTuple):
     """The arm and what it touches; each scalar may be a batch."""
 
+    measurement: Measurement
+    """How the controller makes velocities of the encoders' angles."""
     drive: drives.Drive
+    limits: TorqueLimits
+    """What of the wanted torques reaches the drives."""
     friction: frictions.Friction
     viscous: Vector
     """Viscous friction of the joints [N m s/rad]."""
@@ -107,14 +113,13 @@ class RobotState(NamedTuple):
     bristles: Vector
     """Presliding of the joint friction, normalised [-]."""
     tissue: Any
-    drive: drives.DriveState
     sensor: sensors.SensorState
     pending: tuple[Vector, Vector]
     """Torques of the last two samples, newest first [N m]."""
 
 
 def accelerate(
-    chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Scalar, viscous: Vector, share: Scalar, ops: Any
+    chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Scalar, viscous: Vector, share: Scalar, ops: Ops
 ) -> Vector:
     """q̈ of (M + share D) q̈ = τ − c − D q̇ [rad/s²]; the plain form, for any kind of scalar.
 
@@ -132,7 +137,7 @@ def accelerate(
 
 
 def factored(
-    chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Scalar, viscous: Vector, share: Scalar, ops: Any
+    chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Scalar, viscous: Vector, share: Scalar, ops: Ops
 ) -> tuple[Any, Vector]:
     """The equation that `accelerate` solves: factors of its left side, and its right side."""
     loaded = arm.with_point_mass(chain, tool_mass)
@@ -142,7 +147,7 @@ def factored(
     return factor_ldl(arm.with_diagonal(found.mass, diagonal)), rest
 
 
-def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Any) -> RobotState:
+def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Ops) -> RobotState:
     """The arm at rest in its posture, held against gravity, touching without force; numbers in the form of `like`."""
     zero = 0.0 * like
     four = (zero,) * 4
@@ -152,22 +157,20 @@ def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: An
     if kind.cable:
         wound = tuple(torque / spring for torque, spring in zip(held, robot.cable.stiffness, strict=True))
         motor = (add(robot.posture, wound), four)
-    start = motor[0] if kind.cable else robot.posture
     return RobotState(
         add(robot.posture, four),
         four,
         motor,
         frictions.init(zero),
         tissues.init(kind.tissue, zero),
-        drives.DriveState(add(drives.read(robot.drive, start, ops), four), four),
-        sensors.init(kind.kalman, kind.tool_inertia, zero),
+        sensors.init(kind.tool_inertia, zero),
         (held, held),
     )
 
 
 def sense(
-    chain: Chain, kind: RobotStructure, robot: Robot, state: RobotState, heart: HeartSample, noise: Vector, ops: Any
-) -> tuple[Vector, Vector, RobotState]:
+    chain: Chain, kind: RobotStructure, robot: Robot, state: RobotState, heart: HeartSample, noise: Vector, ops: Ops
+) -> tuple[Vector, Vector, Vector, RobotState]:
     """What the controller reads at a sample.
 
     Args:
@@ -180,8 +183,8 @@ def sense(
         ops: Scalar functions.
 
     Returns:
-        Measured force on the tissue [N], tip displacement from where it touched [m], and the state with its
-        filters moved on; measured angles and velocities are in `state.drive`.
+        Measured force on the tissue [N], joint angles that the encoders read [rad], tip displacement from where it
+        touched [m], and the state with the sensor's filter moved on.
     """
     at_tip = arm.tip(chain, arm.pose(chain, state.q, ops))
     tip, velocity = sub(at_tip.position, robot.touch), apply(at_tip.jacobian, state.qd)
@@ -194,9 +197,13 @@ def sense(
         sub(velocity, heart.velocity),
         ops,
     )
-    measured, sensor = sensors.read(robot.sensor, state.sensor, true, velocity, noise, robot.drive.T_s, ops)
-    seen = drives.measure(robot.drive, state.drive, state.motor[0] if kind.cable else state.q, ops)
-    return measured, tip, state._replace(drive=seen, sensor=sensor)
+    measured, sensor = sensors.read(robot.sensor, state.sensor, true, velocity, noise, robot.measurement.T_s, ops)
+    return measured, encoders(kind, robot, state, ops), tip, state._replace(sensor=sensor)
+
+
+def encoders(kind: RobotStructure, robot: Robot, state: RobotState, ops: Ops) -> Vector:
+    """Joint angles that the encoders read, at the motors [rad]."""
+    return drives.read(robot.drive, state.motor[0] if kind.cable else state.q, ops)
 
 
 def move(
@@ -207,7 +214,7 @@ def move(
     torque: Vector,
     hearts: Sequence[HeartSample],
     advance: Accelerate,
-    ops: Any,
+    ops: Ops,
 ) -> RobotState:
     """Take torques sent at this sample and advance to the next.
 
@@ -236,9 +243,9 @@ def _substep(
     torque: Vector,
     heart: HeartSample,
     advance: Accelerate,
-    ops: Any,
+    ops: Ops,
 ) -> RobotState:
-    h = robot.drive.T_s / kind.substeps
+    h = robot.measurement.T_s / kind.substeps
     leapfrog = kind.integrator == "leapfrog"
     lead = 0.5 * h if leapfrog else 0.0
     share = 0.5 * h if leapfrog else h

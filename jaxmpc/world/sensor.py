@@ -1,7 +1,8 @@
-"""The force sensor at the tip: inertia of the tool beyond it, low-pass, noise, quantisation, Kalman filter."""
+"""The force sensor at the tip: inertia of the tool beyond it, low-pass, noise, quantisation."""
 
 from typing import Any, NamedTuple
 
+from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Scalar, Vector, add, scale, sub
 from jaxmpc.world.quantise import quantise
 
@@ -15,29 +16,25 @@ class SensorModel(NamedTuple):
     """Least significant bit per axis [N]; 0 is a perfect one."""
     tool_mass: Scalar
     """Mass beyond the sensor, whose inertia it reads [kg]; its weight is tared."""
-    kalman: tuple[Scalar, Scalar]
-    """Steady gains of the Kalman filter: force [-] and force rate [1/s]."""
 
 
 class SensorState(NamedTuple):
-    """What the sensor remembers; () where the experiment has no such filter."""
+    """What the sensor remembers."""
 
     force: Vector
     """Behind the low-pass [N]."""
-    filtered: Any
-    """Force [N] and force rate [N/s] of the Kalman filter."""
     tip_velocity: Any
-    """At the last sample, for the inertia [m/s]."""
+    """Velocity of the tip at the last sample, for the inertia [m/s]; () if it reads none."""
 
 
-def init(kalman: bool, tool_inertia: bool, zero: Scalar) -> SensorState:
+def init(tool_inertia: bool, zero: Scalar) -> SensorState:
     """A sensor that has read nothing yet, its numbers in the form of `zero`."""
     three = (zero,) * 3
-    return SensorState(three, (three, three) if kalman else (), three if tool_inertia else ())
+    return SensorState(three, three if tool_inertia else ())
 
 
 def read(
-    sensor: SensorModel, state: SensorState, true: Vector, velocity: Vector, noise: Vector, T_s: Scalar, ops: Any
+    sensor: SensorModel, state: SensorState, true: Vector, velocity: Vector, noise: Vector, T_s: Scalar, ops: Ops
 ) -> tuple[Vector, SensorState]:
     """Measured force at a sample [N], and the filters moved on.
 
@@ -48,7 +45,7 @@ def read(
         velocity: Of the tip, 3 scalars [m/s].
         noise: Of this sample, 3 scalars [N].
         T_s: Sampling time [s].
-        ops: Where `where` and `floor` are.
+        ops: Scalar functions.
     """
     felt, remembered = true, state.tip_velocity
     if remembered:
@@ -58,17 +55,4 @@ def read(
     measured = tuple(
         quantise(value + error, lsb, ops) for value, error, lsb in zip(force, noise, sensor.lsb, strict=True)
     )
-    filtered = state.filtered
-    if filtered:
-        filtered = _kalman(sensor, filtered, measured, T_s)
-        measured = filtered[0]
-    return measured, SensorState(force, filtered, remembered)
-
-
-def _kalman(
-    sensor: SensorModel, filtered: tuple[Vector, Vector], measured: Vector, T_s: Scalar
-) -> tuple[Vector, Vector]:
-    """Force and force rate by a steady Kalman filter whose model is a constant rate."""
-    predicted = add(filtered[0], scale(T_s, filtered[1]))
-    innovation = sub(measured, predicted)
-    return add(predicted, scale(sensor.kalman[0], innovation)), add(filtered[1], scale(sensor.kalman[1], innovation))
+    return measured, SensorState(force, remembered)

@@ -8,14 +8,14 @@ import pytest
 
 from jaxmpc.law import cascade
 from tests.deploy import made
-from tests.deploy.made import K2, T_S, margin_row, text_gains
+from tests.deploy.made import K2, LOOP, T_S, margin_row, text_gains
 
 
 def run_law(gains, force, force_ref):
     """Commands of the law itself on floats, one axis at a time; force_ref (n, 3, H)."""
     v = np.empty(np.shape(force))
     for axis in range(3):
-        state = cascade.init(float(force[0][axis]), cascade.order(gains))
+        state = cascade.init(gains, float(force[0][axis]))
         for k in range(len(force)):
             state, v[k, axis] = cascade.step(gains, state, float(force[k][axis]), force_ref[k][axis])
     return v
@@ -45,6 +45,7 @@ def arguments():
         "gains": gains,
         "T_s": T_S,
         "K2": K2,
+        "loop": LOOP,
         "params": {"Khat_s": 900.0, "lam": 0.1, "architecture": "mpc-aob", "delta": [0.9, 0.9]},
         "margins": [margin_row(375.0), margin_row(810.0, M_s=1.4), margin_row(1900.0, M_s=1.9)],
         "floor": {"M_s": 2.0, "gain_reduction_db": 6.0},

@@ -12,17 +12,22 @@ import numpy as np
 
 from deploy.controller.arm_model import ROBOT, ArmModel, published_tip
 from deploy.controller.artifact import Artifact
+from deploy.controller.judged_loop import JudgedLoop
 from deploy.controller.limits import Limits
-from jaxmpc.law import cascade, force_control, gain_backoff
+from jaxmpc.law import cascade, entry, force_control, gain_backoff
 from jaxmpc.law.chain import Chain, Link
 from jaxmpc.law.computed_torque import Nominal
+from jaxmpc.law.force_control import Controller
 from jaxmpc.law.friction_compensation import NominalFriction
+from jaxmpc.law.measurement import Measurement
+from jaxmpc.law.ops import FLOATS
 
 K_HAT, K2, T_S = 900.0, 10.0, 1e-3
 POSTURE = (0.0, 0.7, 0.0, 2.2)
 TOOL, TOOL_MASS, TOOL_INERTIA = 0.36, 0.3, (7e-5, 7e-5, 6e-5)
 """Tip beyond the elbow's axis [m]; mass there [kg] and its own inertia [kg m²]."""
 VELOCITY_CUTOFF = 180.0
+LOOP = JudgedLoop(1, False, VELOCITY_CUTOFF, 2.0 * math.pi * 500.0)
 SWING_HZ, SWINGING = 40.0, 800
 SWING = 2.0 * gain_backoff.LIMIT * math.sqrt(2.0 / 3.0)
 """Of each axis' force, where a guarded controller is to feel it, in the first samples: together twice its limit [N]."""
@@ -75,14 +80,12 @@ def text_gains() -> cascade.Gains:
 
 
 def guarded_gains() -> cascade.Gains:
-    return text_gains()._replace(guard=gain_backoff.constants(T_S, math))
+    return text_gains()._replace(guard=gain_backoff.constants(T_S, FLOATS))
 
 
 def margin_row(stiffness: float, **changes: Any) -> dict[str, Any]:
     row = {
         "stiffness": stiffness,
-        "delay": 1,
-        "ideal": False,
         "M_s": 1.6,
         "gain_margin_db": 8.0,
         "gain_reduction_db": math.inf,
@@ -158,29 +161,17 @@ def recorded_inputs(
     return q, force, wanted
 
 
-def tick_by_tick(
-    gains: cascade.Gains,
-    arm: dict[str, Any],
-    inputs: tuple[Sequence[Any], Sequence[Any], Sequence[Any]],
+def on_floats(
+    controller: Controller, compensated: bool, inputs: tuple[Sequence[Any], Sequence[Any], Sequence[Any]]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Commands, torques, and those of which each 7th is cut a little on J2: the law itself on floats."""
-    pole = math.exp(-arm["velocity_cutoff"] * T_S)
-    chain, believed, posture = arm["chain"], arm["nominal"], arm["posture"]
-    q, qd = inputs[0][0], (0.0,) * 4
-    state = force_control.init(0.0, cascade.order(gains), tuple(q) if arm["compensated"] else None)
-    axes: Any = tuple(cascade.init(each, cascade.order(gains)) for each in inputs[1][0])
-    guard = None if gains.guard is None else gain_backoff.init()
-    state = state._replace(axes=axes, guard=guard)
+    """Commands, torques, and those of which each 7th is cut a little on J2: the law on floats, nothing recorded."""
+    q, force, _ = (tuple(signal[0]) for signal in inputs)
+    state = entry.enter(controller, force_control.init(controller, q, force, compensated), force, (0.0,) * 3, FLOATS)
     v, torques, passed = [], [], []
     for now, force, wanted in zip(*inputs, strict=True):
-        raw = [(1.0 / T_S) * (new - old) for new, old in zip(now, q, strict=True)]
-        q, qd = now, tuple(new + pole * (old - new) for new, old in zip(raw, qd, strict=True))
-        state, command = force_control.step(
-            chain, believed, posture, gains, K2, state, tuple(q), qd, tuple(force), wanted, math
-        )
+        state, command = force_control.step(controller, state, tuple(now), tuple(force), wanted, FLOATS)
         torque = command.torque.torque
-        cut = 0.2 if len(v) % 7 == 3 else 0.0
-        held = (torque[0], torque[1] - cut, *torque[2:])
+        held = (torque[0], torque[1] - 0.2, *torque[2:]) if len(v) % 7 == 3 else torque
         state = force_control.applied(state, command, held)
         v.append(command.v)
         torques.append(torque)
@@ -198,7 +189,6 @@ def arm_arguments(n: int = 40, preview: bool = False, compensated: bool = False,
         "nominal": nominal(compensated),
         "compensated": compensated,
         "posture": POSTURE,
-        "velocity_cutoff": VELOCITY_CUTOFF,
         "encoder_counts": 4096,
         "limits": Limits.default(published_tip(POSTURE, TOOL).tolist()),
     }
@@ -206,7 +196,9 @@ def arm_arguments(n: int = 40, preview: bool = False, compensated: bool = False,
     width = len(gains.mpc_ref) if preview else 1
     inputs = recorded_inputs(n, width=width, swing=SWING if gains.guard else 0.0)
     law = gains if preview else cascade.constant_reference(gains)
-    v, torque, applied = tick_by_tick(law, arm, inputs)
+    measurement = Measurement(T_S, math.exp(-VELOCITY_CUTOFF * T_S))
+    controller = Controller(arm["chain"], arm["nominal"], arm["posture"], law, K2, measurement)
+    v, torque, applied = on_floats(controller, arm["compensated"], inputs)
     wanted = np.array(inputs[2])
     arm |= {"golden_q": np.array(inputs[0]), "golden_applied": applied, "golden_torque": torque}
     return {
@@ -214,6 +206,7 @@ def arm_arguments(n: int = 40, preview: bool = False, compensated: bool = False,
         "T_s": T_S,
         "K2": K2,
         "preview": preview,
+        "loop": LOOP,
         "params": {"Khat_s": 900.0},
         "margins": [margin_row(375.0), margin_row(810.0, M_s=1.4), margin_row(1900.0, M_s=1.9)],
         "floor": {"M_s": 2.0},

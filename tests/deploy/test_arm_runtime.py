@@ -9,9 +9,11 @@ import pytest
 
 from deploy.controller.arm_model import published_tip
 from deploy.controller.artifact import Artifact
-from deploy.runtime.arm import ArmRuntime, replay
+from deploy.controller.golden import replay
+from deploy.controller.runtimes import arm_runtime, flown_controller
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import cascade, chain, force_control
+from jaxmpc.law.ops import FLOATS
 from tests.deploy import made
 
 Q, QD = (0.3, 0.8, -0.4, 1.9), (0.2, -0.1, 0.3, -0.2)
@@ -20,7 +22,7 @@ FORCE = (0.4, -0.2, -5.1)
 
 @pytest.fixture
 def runtime(arm_artifact):
-    return ArmRuntime(arm_artifact)
+    return arm_runtime(arm_artifact)
 
 
 @pytest.fixture
@@ -130,7 +132,7 @@ def test_observers_are_told_what_a_clamp_means_at_the_tip(runtime, inputs, arm_a
 
 
 def test_untouched_torques_tell_the_observers_nothing(arm_artifact, inputs):
-    told, silent = ArmRuntime(arm_artifact), ArmRuntime(arm_artifact)
+    told, silent = arm_runtime(arm_artifact), arm_runtime(arm_artifact)
     begun(told, inputs), begun(silent, inputs)
     for q, force, wanted in inputs[10:]:
         torque = told.control(q, told.velocity(q), force, wanted)
@@ -148,7 +150,7 @@ def test_servo_asks_the_same_torque_as_control_for_the_same_acceleration(runtime
 @pytest.mark.parametrize("compensated", [False, True])
 def test_entry_is_bumpless(compensated):
     """The tip moves while a servo pushes against friction; then the cascades take over without a step."""
-    runtime, pushing = ArmRuntime(made.arm_artifact(compensated=compensated)), (0.5, -0.3, -2.0)
+    runtime, pushing = arm_runtime(made.arm_artifact(compensated=compensated)), (0.5, -0.3, -2.0)
     q = np.array(made.POSTURE)
     runtime.start(q)
     for _ in range(50):
@@ -168,17 +170,15 @@ def test_entry_at_rest_is_the_law_at_rest(runtime, arm_artifact):
     runtime.start(Q)
     runtime.enter(FORCE, Q)
     torque = runtime.control(Q, runtime.velocity(Q), FORCE, (0.0, 0.0, -5.0))
-    arm, gains = arm_artifact.arm, cascade.constant_reference(arm_artifact.gains)
-    state = force_control.ControllerState(tuple(map(cascade.init, FORCE)), None)
+    controller, compensated = flown_controller(arm_artifact)
+    state = force_control.init(controller, Q, FORCE, compensated)
     wanted = ((0.0,), (0.0,), (-5.0,))
-    _, command = force_control.step(
-        arm.chain, arm.nominal, arm.posture, gains, made.K2, state, Q, (0.0,) * 4, FORCE, wanted, math
-    )
+    _, command = force_control.step(controller, state, Q, FORCE, wanted, FLOATS)
     assert torque == command.torque.torque
 
 
 def test_a_lost_force_is_bridged_by_the_prediction(arm_artifact, inputs):
-    lost, given = ArmRuntime(arm_artifact), ArmRuntime(arm_artifact)
+    lost, given = arm_runtime(arm_artifact), arm_runtime(arm_artifact)
     q, _, wanted = begun(lost, inputs)
     begun(given, inputs)
     before = lost.p_hat
@@ -186,7 +186,7 @@ def test_a_lost_force_is_bridged_by_the_prediction(arm_artifact, inputs):
     # A prediction that comes true corrects nothing.
     assert lost.p_hat == before
     assert given.control(q, given.velocity(q), lost.last_force, wanted) == torque
-    (y, ydot, delayed), _, _, _, _ = begun_state(arm_artifact, inputs)
+    y, ydot, delayed = begun_state(arm_artifact, inputs).x_hat
     gains = arm_artifact.gains
     assert lost.last_force[0] == y + gains.phi[0] * ydot + gains.gamma[0] * delayed
 
@@ -194,7 +194,7 @@ def test_a_lost_force_is_bridged_by_the_prediction(arm_artifact, inputs):
 def begun_state(artifact, inputs):
     """Cascade of X where `begun` leaves it: the law itself."""
     gains = cascade.constant_reference(artifact.gains)
-    state = cascade.init(inputs[0][1][0])
+    state = cascade.init(gains, inputs[0][1][0])
     for _, force, wanted in inputs[:10]:
         state, _ = cascade.step(gains, state, force[0], (wanted[0],))
     return state
@@ -202,7 +202,7 @@ def begun_state(artifact, inputs):
 
 def test_the_guard_takes_the_gain_back_until_contact_is_made_anew():
     artifact = made.arm_artifact(300, gains=made.guarded_gains())
-    runtime = ArmRuntime(artifact)
+    runtime = arm_runtime(artifact)
     arrays = (artifact.arm.golden_q, artifact.golden_force, artifact.golden_force_ref)
     inputs = list(zip(*(array.tolist() for array in arrays), strict=True))
 
@@ -257,7 +257,7 @@ def test_a_linear_artifact_drives_no_arm(arguments):
     with pytest.raises(
         InputError, match=r"kind = linear: must be wam: a linear controller only replays\. Freeze it with"
     ):
-        ArmRuntime(linear)
+        arm_runtime(linear)
 
 
 def test_ticks_leave_nothing_behind(runtime, inputs):

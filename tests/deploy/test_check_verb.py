@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from deploy.controller.artifact import to_bytes
+from deploy.controller.file import to_bytes
 from deploy.controller.freeze import freeze
 from jaxmpc.cli import main
 from tests.deploy import made

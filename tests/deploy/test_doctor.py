@@ -6,7 +6,7 @@ import pytest
 
 from deploy import doctor
 from deploy.cli import doctor as verb
-from deploy.controller.artifact import to_bytes
+from deploy.controller.file import to_bytes
 from deploy.controller.freeze import freeze
 from deploy.doctor import Traffic, bits
 from jaxmpc.files.errors import InputError

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from deploy.controller.arm_model import ROBOT
-from deploy.controller.artifact import load, to_bytes
+from deploy.controller.file import load, to_bytes
 from deploy.controller.freeze import freeze
-from deploy.controller.frozen_gains import SHAPES
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import seal
 from tests.deploy import made
@@ -23,7 +22,8 @@ def test_same_input_gives_the_same_bytes(arguments, tmp_path):
     freeze(tmp_path / "a.npz", **arguments)
     arguments["params"] = dict(reversed(arguments["params"].items()))
     gains = arguments["gains"]
-    arguments["gains"] = gains._replace(**{name: np.array(getattr(gains, name)) for name in SHAPES})
+    arrays = {name: np.array(value) for name, value in gains._asdict().items() if value is not None}
+    arguments["gains"] = gains._replace(**arrays)
     freeze(tmp_path / "b.npz", **arguments)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
@@ -46,11 +46,11 @@ def changed(arguments, law, **row):
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ({"spectral_radius": 1.0}, "spectral_radius at 810 N/m .* = 1: must be below 1. .*tune again"),
-        ({"spectral_radius": 1.035, "ideal": True, "delay": 2}, r"810 N/m \(ideal damping, delay 2\) = 1.035"),
-        ({"M_s": 2.0001}, "M_s at 810 N/m .* = 2.0001: must be at most 2, the declared floor. .*Tune again"),
-        ({"M_s": math.inf}, "M_s at 810 N/m .* = inf"),
-        ({"gain_reduction_db": 5.0}, "gain_reduction_db at 810 N/m .* = 5 dB: must be at least 6 dB"),
+        ({"spectral_radius": 1.0}, "spectral_radius at 810 N/m = 1: must be below 1. .*tune again"),
+        ({"spectral_radius": 1.035}, "810 N/m = 1.035"),
+        ({"M_s": 2.0001}, "M_s at 810 N/m = 2.0001: must be at most 2, the declared floor. .*Tune again"),
+        ({"M_s": math.inf}, "M_s at 810 N/m = inf"),
+        ({"gain_reduction_db": 5.0}, "gain_reduction_db at 810 N/m = 5 dB: must be at least 6 dB"),
         ({"M_s": math.nan}, "M_s = nan: must be a number"),
         ({"spectral_radius": math.nan}, "spectral_radius = nan: must be a number"),
     ],

@@ -6,7 +6,7 @@ import pytest
 
 from deploy.errors import CalibrationError
 from deploy.wam.pucks import PuckInfo, Pucks
-from jaxmpc.world.drive import JOINT_TO_MOTOR
+from jaxmpc.law.transmission import JOINT_TO_MOTOR
 
 T = np.array(JOINT_TO_MOTOR)
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from deploy.runtime.straightline import FUNCTIONS, compile_straightline, functions
+from deploy.runtime.straightline import FUNCTIONS, OPS, compile_straightline
 
 
 class Pair(NamedTuple):
@@ -67,7 +67,7 @@ def test_order_of_operations_is_kept():
 def test_law_on_operands_equals_law_on_floats(law):
     from jaxmpc.law import cascade
 
-    recorded = compile_straightline(lambda *a: cascade.step(law.gains, *a), (cascade.init(), 0.0, (0.0,) * 64))
+    recorded = compile_straightline(lambda *a: cascade.step(law.gains, *a), (cascade.init(law.gains), 0.0, (0.0,) * 64))
     draw = random.Random(3)
     for _ in range(200):
         state = cascade.AxisState(tuple(draw.gauss(0, 1) for _ in range(3)), *(draw.gauss(0, 1) for _ in range(3)))
@@ -121,10 +121,10 @@ def test_numpy_numbers_on_either_side_are_constants():
 def test_functions_are_recorded_once_and_of_constants_computed():
     def turning(x):
         return (
-            functions.sin(x) * functions.cos(x),
-            functions.sin(x),
-            functions.sqrt(x * x + functions.sqrt(2)),
-            functions.sin(0.5),
+            OPS.sin(x) * OPS.cos(x),
+            OPS.sin(x),
+            OPS.sqrt(x * x + OPS.sqrt(2)),
+            OPS.sin(0.5),
         )
 
     recorded = compile_straightline(turning, (0.0,))

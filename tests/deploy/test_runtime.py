@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from deploy.controller.artifact import Artifact
-from deploy.runtime.linear import Runtime, replay
+from deploy.controller.golden import replay
+from deploy.controller.runtimes import linear_runtime
 
 
 def make(arguments, **changes):
@@ -21,14 +22,14 @@ def test_runtime_equals_the_law_on_floats_to_the_last_bit(arguments, law, previe
     gains = law.gains._replace(K=(*law.gains.K, *more))
     golden = law.trace(gains, 500, preview)
     artifact = make(arguments, gains=gains, golden=golden, preview=preview)
-    assert replay(artifact) == 0.0
-    runtime = Runtime(artifact)
+    assert replay(artifact) == (0.0, 0.0)
+    runtime = linear_runtime(artifact)
     runtime.init(golden[0][0])
     assert [runtime.step(*row) for row in zip(*golden[:2], strict=True)] == [tuple(row) for row in golden[2].tolist()]
 
 
 def test_lists_and_arrays_give_the_same_plain_floats(arguments):
-    runtime, again = Runtime(make(arguments)), Runtime(make(arguments))
+    runtime, again = linear_runtime(make(arguments)), linear_runtime(make(arguments))
     force = np.array([1.0, 2.0, 3.0])
     first = [runtime.step(force, force), runtime.step(force, force)]
     assert first == [again.step(force.tolist(), force.tolist()), again.step(force.tolist(), force.tolist())]
@@ -36,7 +37,7 @@ def test_lists_and_arrays_give_the_same_plain_floats(arguments):
 
 
 def test_axes_do_not_touch_one_another(arguments):
-    runtime = Runtime(make(arguments))
+    runtime = linear_runtime(make(arguments))
     v = [runtime.step((1.0, 0.0, math.nan), (0.0, 0.0, 0.0)) for _ in range(5)]
     assert all(each[0] != 0.0 and each[1] == 0.0 and math.isnan(each[2]) for each in v)
     runtime.init((0.0, 0.0, 0.0))
@@ -46,8 +47,8 @@ def test_axes_do_not_touch_one_another(arguments):
 def test_observer_uses_what_was_applied(arguments, law):
     from jaxmpc.law import cascade
 
-    gains, runtime = cascade.constant_reference(law.gains), Runtime(make(arguments))
-    state = cascade.init(-5.0)
+    gains, runtime = cascade.constant_reference(law.gains), linear_runtime(make(arguments))
+    state = cascade.init(gains, -5.0)
     runtime.init((-5.0, -5.0, -5.0))
     for k in range(50):
         y = -5.0 + math.sin(k)
@@ -57,7 +58,7 @@ def test_observer_uses_what_was_applied(arguments, law):
         assert k == 0 or clamped != v or abs(v) <= 20.0
         state = state._replace(v=clamped)
         runtime.applied((clamped, clamped, clamped))
-    free = Runtime(make(arguments))
+    free = linear_runtime(make(arguments))
     free.init((-5.0, -5.0, -5.0))
     for k in range(50):
         y = -5.0 + math.sin(k)
@@ -66,7 +67,7 @@ def test_observer_uses_what_was_applied(arguments, law):
 
 
 def test_init_rests_at_the_measured_force(arguments, law):
-    runtime = Runtime(make(arguments))
+    runtime = linear_runtime(make(arguments))
     runtime.init((-5.0, 0.0, 2.0))
     # In equilibrium nothing moves: r F − mₓ F − mᵤ F = 0 to the digits of the gains, and g u = L₁ F.
     v = runtime.step((-5.0, 0.0, 2.0), (-5.0, 0.0, 2.0))
@@ -74,7 +75,7 @@ def test_init_rests_at_the_measured_force(arguments, law):
 
 
 def test_wrong_number_of_forces_is_refused_and_changes_nothing(arguments):
-    runtime, other = Runtime(make(arguments)), Runtime(make(arguments))
+    runtime, other = linear_runtime(make(arguments)), linear_runtime(make(arguments))
     with pytest.raises(ValueError, match="unpack"):
         runtime.step((1.0, 2.0), (0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="unpack"):
@@ -95,7 +96,7 @@ def straight_line(operations):
 def test_a_step_costs_no_more_than_its_operations(arguments, law, preview):
     """Its absolute time is what `jaxmpc check` prints; here only a ratio within one run means anything."""
     golden = law.trace(law.gains, 2, preview)
-    runtime = Runtime(make(arguments, golden=golden, preview=preview))
+    runtime = linear_runtime(make(arguments, golden=golden, preview=preview))
     force, force_ref = golden[0][1].tolist(), golden[1][1].tolist()
     plain = straight_line(3 * runtime.recorded.operations)
     took, floor = [], []
@@ -112,4 +113,4 @@ def test_a_step_costs_no_more_than_its_operations(arguments, law, preview):
 
 def test_replay_sees_a_gain_that_changed_by_a_millionth(arguments, law):
     gains = law.gains._replace(mpc_u=law.gains.mpc_u * (1 + 1e-6))
-    assert 1e-9 < replay(make(arguments, gains=gains)) < 1e-3
+    assert 1e-9 < replay(make(arguments, gains=gains))[0] < 1e-3

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 import pytest
 
-from deploy.controller.artifact import load
-from deploy.runtime.linear import replay
+from deploy.controller.file import load
+from deploy.controller.golden import replay
 from jaxmpc import Experiment, InputError, Params, evaluate, evaluation
 from jaxmpc.cli import VERBS, comparison, main
 from jaxmpc.cli.simulate import simulated, with_heart_still, without_motion

@@ -60,7 +60,7 @@ def test_the_estimates_are_those_of_the_random_walk_of_past_values(order: int) -
     # The two Riccati equations meet to scipy's digits, which past values cost some of.
     np.testing.assert_allclose(gains.K[:4], K[:4], rtol=1e-7)
 
-    state, walk, v = cascade.init(0.0, order), np.zeros(3 + order), 0.0
+    state, walk, v = cascade.init(gains), np.zeros(3 + order), 0.0
     for y in np.random.default_rng(2).standard_normal(500).tolist():
         prior = Phi @ walk + v * np.eye(3 + order)[2]
         walk = prior + K * (y - prior[0])
@@ -73,7 +73,7 @@ def run(order: int, degree: int) -> tuple[float, float]:
     params = params_of(order)
     gains = plain(design(params))
     Phi_r, Gamma_r = delayed_plant(params)
-    state, x, missed = cascade.init(0.0, order), np.zeros(3), []
+    state, x, missed = cascade.init(gains), np.zeros(3), []
     for k in range(4000):
         disturbance = (k * T_S) ** degree
         state, v = cascade.step(gains, state, float(x[0]), (1.0,))
@@ -99,7 +99,7 @@ def test_order_one_costs_what_it_did() -> None:
 
     def operations(order: int) -> int:
         gains = jax.tree.map(jnp.asarray, plain(design(params_of(order))))
-        state = cascade.init(jnp.asarray(0.0), order)
+        state = cascade.init(gains, jnp.asarray(0.0))
         return len(jax.make_jaxpr(lambda g, s: cascade.step(g, s, 1.0, (1.0,)))(gains, state).eqns)
 
     assert [operations(order) for order in (1, 2, 3)] == [33, 36, 39]

@@ -7,7 +7,7 @@ import pytest
 
 from deploy.controller.artifact import Artifact
 from deploy.controller.freeze import freeze
-from deploy.runtime.linear import replay
+from deploy.controller.golden import replay
 from jaxmpc import Params, design
 from jaxmpc.law import cascade
 
@@ -24,7 +24,7 @@ def jax_trace(gains, force, force_ref):
             wanted = row[1] if row[1].ndim == 2 else row[1][:, None] * jnp.ones(len(held.mpc_ref))
             return jax.vmap(lambda s, y, r: cascade.step(held, s, y, r))(state, row[0], wanted)
 
-        start = jax.vmap(lambda y: cascade.init(y, cascade.order(held)))(jnp.asarray(force[0]))
+        start = jax.vmap(lambda y: cascade.init(held, y))(jnp.asarray(force[0]))
         _, v = jax.jit(lambda *rows: jax.lax.scan(step, start, rows))(jnp.asarray(force), jnp.asarray(force_ref))
         return np.asarray(v)
 

@@ -45,7 +45,7 @@ def test_pi_gains_are_a_pi_controller(gains: cascade.Gains) -> None:
     random = np.random.default_rng(0)
     wanted, forces = random.normal(size=(2, 200))
     told = cascade.constant_reference(gains)
-    state, commands = cascade.init(forces[0]), []
+    state, commands = cascade.init(gains, forces[0]), []
     for F_d, y in zip(wanted, forces, strict=True):
         state, v = cascade.step(told, state, y, (F_d,))
         commands.append(v)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.controller.artifact import load
+from deploy.controller.file import load
 from jaxmpc.cli import main
 from tests.deploy.made import arm_artifact
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from deploy.controller.arm_model import ROBOT, ArmModel
-from deploy.controller.artifact import Artifact, load
+from deploy.controller.artifact import Artifact
+from deploy.controller.file import load
+from deploy.controller.golden import replay
 from deploy.controller.limits import Limits
-from deploy.runtime.arm import ArmRuntime, replay
+from deploy.controller.runtimes import arm_runtime
 from jaxmpc import Experiment, Params, design
 from jaxmpc.cli.freeze import _believed, freeze_controller
 from jaxmpc.experiment.reference import Ramp
@@ -105,7 +107,7 @@ def test_another_law_would_be_seen(frozen):
 
 def test_the_velocity_filter_is_the_drives():
     artifact = made.arm_artifact(3)
-    runtime, draw = ArmRuntime(artifact), np.random.default_rng(1)
+    runtime, draw = arm_runtime(artifact), np.random.default_rng(1)
     perfect = drive.Drive(1e-3, 0.0, drive.pole(made.VELOCITY_CUTOFF, 1e-3), 0.0, drive.TORQUE_LIMIT)
     angles = np.cumsum(draw.normal(0.0, 1e-3, (100, 4)), axis=0)
     state = drive.DriveState(tuple(angles[0]), (0.0,) * 4)

@@ -7,8 +7,8 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
-from deploy.controller.artifact import ArtifactError, from_bytes, to_bytes
-from deploy.runtime.arm import ArmRuntime
+from deploy.controller.file import ArtifactError, from_bytes, to_bytes
+from deploy.controller.runtimes import arm_runtime
 from jaxmpc.files.sealed import SEAL, seal, unseal
 from tests.deploy import made
 
@@ -67,7 +67,7 @@ def odd_arrays(draw, arrays):
 
 def torques(artifact):
     """What it asks of the arm in a run that it has never seen, shape (40, 4) [N m]."""
-    runtime, (qs, forces, wanted) = ArmRuntime(artifact), made.recorded_inputs(40, seed=5)
+    runtime, (qs, forces, wanted) = arm_runtime(artifact), made.recorded_inputs(40, seed=5)
     runtime.start(qs[0])
     runtime.enter(forces[0], qs[0])
     rows = zip(qs, forces, wanted, strict=True)

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import can
 import pytest
 
-from deploy.controller.artifact import to_bytes
+from deploy.controller.file import to_bytes
 from deploy.puck.codec import unpack_torques
 from tests.deploy.made import arm_artifact
 

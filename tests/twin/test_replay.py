@@ -7,10 +7,10 @@ from argparse import ArgumentParser
 import numpy as np
 import pytest
 
-from deploy.controller.artifact import load, to_bytes
+from deploy.controller.file import load, to_bytes
+from deploy.controller.runtimes import arm_runtime
 from deploy.flight.recorder import COLUMNS, FlightRecorder, read
 from deploy.flight.replay import SETTLING, compare, inputs_of, through_runtime
-from deploy.runtime.arm import ArmRuntime
 from jaxmpc.cli import replay as verb
 from jaxmpc.files.errors import InputError
 from tests.deploy import made
@@ -25,7 +25,7 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
 
     `change(k, runtime)` may meddle with the controller at a sample.
     """
-    runtime, recorder = ArmRuntime(artifact), FlightRecorder(seconds=seconds)
+    runtime, recorder = arm_runtime(artifact), FlightRecorder(seconds=seconds)
     swing = made.SWING if artifact.gains.guard else 0.0
     q_all, force_all, wanted_all = made.recorded_inputs(samples, width=64 if artifact.preview else 1, swing=swing)
     runtime.start(tuple(q_all[0]))

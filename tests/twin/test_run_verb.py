@@ -1,6 +1,7 @@
 import pytest
 
-from deploy.controller.artifact import Artifact, to_bytes
+from deploy.controller.artifact import Artifact
+from deploy.controller.file import to_bytes
 from jaxmpc.cli import main
 from tests.deploy.conftest import trace
 from tests.deploy.made import arm_artifact, margin_row, text_gains

@@ -144,11 +144,11 @@ def test_no_bytes_make_the_checker_raise(data, identifier, how):
 def test_its_kinematics_are_those_of_the_controller():
     chain, motion = arm.chain(), kinematics(TOOL)
     draw = np.random.default_rng(23)
-    from deploy.runtime.straightline import functions
+    from deploy.runtime.straightline import OPS
 
     for _ in range(300):
         q, qd = tuple(draw.uniform(-3.0, 3.0, 4).tolist()), tuple(draw.normal(size=4).tolist())
-        tip = law.tip(chain, law.pose(chain, q, functions))
+        tip = law.tip(chain, law.pose(chain, q, OPS))
         found, jacobian = motion(q, qd), np.array(tip.jacobian)
         # MuJoCo normalises the MJCF's quaternions, which leaves 1e-16 of rotation
         np.testing.assert_allclose(found.tip, tip.position, atol=1e-14)

@@ -12,7 +12,7 @@ from deploy.puck.properties import number
 from deploy.twin.settings import HOME, TwinSettings
 from deploy.twin.twin import Twin
 from jaxmpc.files.errors import InputError
-from jaxmpc.world.drive import JOINT_TO_MOTOR
+from jaxmpc.law.transmission import JOINT_TO_MOTOR
 
 QUIET = {"rhythm": "none", "noise": 0.0, "lsb": (0.0, 0.0, 0.0)}
 MOTOR = {name: number(name, "motor", 200) for name in ("STAT", "MODE", "P", "MT", "ERROR", "MECH", "CTS", "IPNM")}

@@ -14,9 +14,9 @@ from jaxmpc.experiment.tables import robot_of
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.chain import inverse_dynamics, pose, tip
 from jaxmpc.law.scalar import apply_transposed
+from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.world import robot
 from jaxmpc.world.arm import chain, joint_ranges, tip_at
-from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.world.heart.motion import Motion, displacement
 from jaxmpc.world.tissue import KINDS
 

@@ -61,7 +61,7 @@ def curves(params: Params, experiment: Experiment, ideal: bool) -> Curves:
     """
     stiffness = np.asarray(experiment.stiffness)[:, None]
     # Of plain arrays the closed forms are plain arithmetic, so next to nothing is compiled.
-    gains = jax.tree.map(np.asarray, design(params, experiment.timing))
+    gains = jax.tree.map(np.asarray, design(params, experiment.timing, experiment.loop_path().force_filter))
 
     def worlds(path: LoopPath) -> Contact:
         plain: Contact = jax.tree.map(np.asarray, _contact(stiffness, params.K2, path))
@@ -93,7 +93,7 @@ def step_response(gains: Gains, contact: Contact, samples: int = STEP_SAMPLES) -
     # The law is plain arithmetic: it runs on arrays of tissues as it stands, and nothing is compiled.
     summed = gains._replace(mpc_ref=(np.sum(gains.mpc_ref),))
     zero: Any = np.zeros_like(contact.stiffness)
-    controller, state = cascade.init(zero, cascade.order(gains)), world.init(zero)
+    controller, state = cascade.init(gains, zero), world.init(zero)
     forces = []
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(samples):

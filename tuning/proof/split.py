@@ -43,7 +43,7 @@ def split(result: TuneResult) -> Split:
     found = []
     for params, seen in ((spec.before, spec.met_before(met)), (result.params, met)):
         spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, seen))
-        gains = design(params, experiment.timing)
+        gains = design(params, experiment.timing, path.force_filter)
         whole, parts = _parts(gains, params.K2, stiffness, spectra, path)
         found.append([np.sqrt(np.mean(np.square(field), axis=1)) for field in (whole, *parts)])
     radius = result.margins["ideal" if path.ideal else "as run"].spectral_radius

@@ -38,7 +38,7 @@ def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) ->
 
     def block(batch: Any, shared: Any) -> Any:
         (signals, own), (params, constant, path, force_limit) = batch, shared
-        gains, residual = jax.vmap(lambda p: design_one(p, path.T_s))(params)
+        gains, residual = jax.vmap(lambda p: design_one(p, path.T_s, 1.0, path.force_filter))(params)
         leaves = list(constant)
         for k, values in zip(varied, own, strict=True):
             leaves[k] = values

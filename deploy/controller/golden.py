@@ -1,0 +1,61 @@
+"""The golden trace of a frozen controller, replayed: does the law on this machine answer as the one that was frozen?"""
+
+import numpy as np
+
+from deploy.controller.artifact import Artifact
+from deploy.controller.runtimes import arm_runtime, linear_runtime
+from jaxmpc.files.errors import InputError
+
+TOLERANCE = 1e-9
+"""Largest deviation from the golden trace at load [-, N m]; `replay` says why."""
+
+
+def replay(artifact: Artifact) -> tuple[float, float]:
+    """Largest deviations from the golden trace: of v, relative to its largest [-], and of the torques [N m].
+
+    The trace begins in contact at rest at its first sample. Every force and angle comes from the trace, as do the
+    torques that were applied, not from a loop that reacts, so no feedback amplifies rounding. What remains is that XLA
+    may fuse a multiplication with an addition, and may sum the weights of the reference in another order: about 1e-15
+    a step. A load therefore asks for 1e-9, far above rounding and far below any other law or changed gain.
+    """
+    v, torque = _linear(artifact) if artifact.arm is None else _on_arm(artifact)
+    return float(np.max(np.abs(v - artifact.golden_v))) / float(np.max(np.abs(artifact.golden_v))), torque
+
+
+def check_golden(artifact: Artifact) -> float:
+    """Replay the golden trace and return the deviation of the commands, relative to the largest one [-].
+
+    Raises:
+        InputError: It is not reproduced, or on the arm its torques are not.
+    """
+    remedy = "Its constants and its trace do not belong together: freeze the controller again."
+    deviation, torque = replay(artifact)
+    if not deviation <= TOLERANCE:
+        raise InputError("deviation from the golden trace", f"{deviation:.3g}", f"at most {TOLERANCE:g}", remedy)
+    if not torque <= TOLERANCE:
+        bound = f"at most {TOLERANCE:g} N m"
+        raise InputError("deviation from the golden torques", f"{torque:.3g} N m", bound, remedy)
+    return deviation
+
+
+def _linear(artifact: Artifact) -> tuple[np.ndarray, float]:
+    runtime = linear_runtime(artifact)
+    runtime.init(artifact.golden_force[0])
+    rows = zip(artifact.golden_force, artifact.golden_force_ref, strict=True)
+    return np.array([runtime.step(*row) for row in rows]), 0.0
+
+
+def _on_arm(artifact: Artifact) -> tuple[np.ndarray, float]:
+    runtime, arm = arm_runtime(artifact), artifact.arm
+    assert arm is not None
+    inputs = zip(
+        *(each.tolist() for each in (arm.golden_q, artifact.golden_force, artifact.golden_force_ref)), strict=True
+    )
+    v, torques = [], []
+    runtime.start(tuple(arm.golden_q[0].tolist()))
+    runtime.enter(tuple(artifact.golden_force[0].tolist()), tuple(arm.golden_q[0].tolist()))
+    for (q, force, force_ref), applied in zip(inputs, arm.golden_applied.tolist(), strict=True):
+        torques.append(runtime.control(q, runtime.velocity(q), force, force_ref))
+        v.append(runtime.last_v)
+        runtime.applied(applied)
+    return np.array(v), float(np.max(np.abs(np.array(torques) - arm.golden_torque)))

@@ -1,0 +1,34 @@
+"""How contact is entered, and how a lost force is bridged.
+
+What was asked of the tip before contact, v = a + K₂ẋ, was all that held it where it is: the observers take it for the
+disturbance, p̂ = −v. While the wanted force is the measured one, the cascades then begin with the same a: no bump.
+"""
+
+from jaxmpc.law import cascade, computed_torque, gain_backoff
+from jaxmpc.law.force_control import Controller, ControllerState
+from jaxmpc.law.ops import Ops
+from jaxmpc.law.scalar import Vector, add, scale
+
+
+def enter(controller: Controller, state: ControllerState, force: Vector, a: Vector, ops: Ops) -> ControllerState:
+    """Begin control in contact: observers at the measured force, full gain, friction as it was.
+
+    Args:
+        controller: Constants.
+        state: Before contact; its joint angles and velocities are those of the last sample.
+        force: Measured, 3 scalars [N].
+        a: Acceleration that was asked of the tip so far, 3 scalars [m/s²].
+        ops: Scalar functions.
+    """
+    v = add(a, scale(controller.K2, computed_torque.tip_velocity(controller.chain, *state.measured, ops)))
+    x, y, z = (
+        cascade.init(controller.gains, felt)._replace(p_hat=-held, v=held) for felt, held in zip(force, v, strict=True)
+    )
+    guard = None if controller.gains.guard is None else gain_backoff.init(0.0 * force[0])
+    return state._replace(axes=(x, y, z), guard=guard)
+
+
+def expected_force(controller: Controller, state: ControllerState) -> Vector:
+    """What is to be measured at the next sample, X, Y, Z [N]; it stands in for a force that is lost."""
+    gains = controller.gains if state.guard is None else cascade.with_gain(controller.gains, state.guard.gain)
+    return tuple(cascade.expected_force(gains, axis) for axis in state.axes)

@@ -1,0 +1,63 @@
+"""Scalar functions that the law and the world need besides + - * /: what they are, and those of plain floats.
+
+Whoever runs the law brings its own: `jaxmpc.xla.ops` for JAX, the recorder of `deploy.runtime.straightline` for the
+robot, and `FLOATS` for everything that computes with numbers as they are.
+"""
+
+import math
+from typing import Any, Protocol
+
+from jaxmpc.law.scalar import Scalar
+
+
+class Ops(Protocol):
+    """Functions of scalars of one kind."""
+
+    def sin(self, angle: Scalar, /) -> Scalar:
+        """Sine of an angle [rad]."""
+
+    def cos(self, angle: Scalar, /) -> Scalar:
+        """Cosine of an angle [rad]."""
+
+    def sqrt(self, value: Scalar, /) -> Scalar:
+        """Square root."""
+
+    def exp(self, value: Scalar, /) -> Scalar:
+        """Exponential."""
+
+    def floor(self, value: Scalar, /) -> Scalar:
+        """Largest whole number not above a value."""
+
+    def minimum(self, one: Scalar, other: Scalar, /) -> Scalar:
+        """Smaller of two."""
+
+    def maximum(self, one: Scalar, other: Scalar, /) -> Scalar:
+        """Larger of two."""
+
+    def clip(self, value: Scalar, low: Scalar, high: Scalar, /) -> Scalar:
+        """A value held within two limits."""
+
+    def where(self, condition: Any, this: Scalar, that: Scalar, /) -> Scalar:
+        """This where the condition holds, else that."""
+
+
+class _Floats:
+    """The functions on Python's own numbers; an exponential that would overflow is held at e⁵⁰."""
+
+    sin, cos, sqrt, floor = staticmethod(math.sin), staticmethod(math.cos), staticmethod(math.sqrt), math.floor
+    minimum, maximum = staticmethod(min), staticmethod(max)
+
+    @staticmethod
+    def exp(value: float) -> float:
+        return math.exp(min(value, 50.0))
+
+    @staticmethod
+    def clip(value: float, low: float, high: float) -> float:
+        return min(max(value, low), high)
+
+    @staticmethod
+    def where(condition: bool, this: float, that: float) -> float:
+        return this if condition else that
+
+
+FLOATS: Ops = _Floats()
