@@ -14,7 +14,7 @@ import casadi
 import numpy as np
 
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
-from jaxmpc.law import cascade, force_control
+from jaxmpc.law import force_control, torque_limits
 from jaxmpc.world import arm, drive, robot
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
@@ -24,7 +24,7 @@ class Ops:
     """Scalar functions on CasADi expressions and plain numbers."""
 
     sin, cos, exp, sqrt, floor = casadi.sin, casadi.cos, casadi.exp, casadi.sqrt, casadi.floor
-    maximum = casadi.fmax
+    minimum, maximum = casadi.fmin, casadi.fmax
 
     @staticmethod
     def where(condition: Any, a: Any, b: Any) -> Any:
@@ -66,8 +66,9 @@ def _step(
     numbers = _floats(scene.robot)
     constants = numbers._replace(tissue=numbers.tissue._replace(stiffness=stiffness))
     body = robot.init(chain, kind, constants, 0.0, Ops)
-    resting = body.drive.angle if kind.compensated else None
-    controller = force_control.init(0.0, cascade.order(gains), resting, gains.guard is not None)
+    law = force_control.Controller(chain, constants.nominal, constants.posture, gains, K2, constants.measurement)
+    resting = robot.encoders(kind, constants, body, Ops)
+    controller = force_control.init(law, resting, (0.0,) * 3, kind.compensated)
     empty = (controller, body, (0.0,) * 6)
     leaves = _flat(empty)
     x = casadi.SX.sym("x", len(leaves))
@@ -84,14 +85,12 @@ def _step(
         for i in range(kind.substeps)
     ]
     now = robot.HeartSample(tuple(heart[:3]), tuple(heart[3:]))
-    force, _, body = robot.sense(chain, kind, constants, body, now, tuple(noise), Ops)
+    force, q, _, body = robot.sense(chain, kind, constants, body, now, tuple(noise), Ops)
     refs = tuple((value,) for value in wanted)
-    seen = body.drive
-    controller, command = force_control.step(
-        chain, constants.nominal, constants.posture, gains, K2, controller, seen.angle, seen.velocity, force, refs, Ops
-    )
-    held, sent = drive.command(constants.drive, command.torque.torque, Ops)
-    controller = force_control.applied(controller, command, held)
+    controller, command = force_control.step(law, controller, q, force, refs, Ops)
+    passed, _ = torque_limits.limit(constants.limits, command.torque.torque, body.pending[0], Ops)
+    controller = force_control.applied(controller, command, passed)
+    sent = drive.send(constants.drive, passed, Ops)
     body = robot.move(chain, kind, constants, body, sent, hearts, robot.accelerate, Ops)
     errors = [y - w for y, w in zip(force, wanted, strict=True)]
     totals = (

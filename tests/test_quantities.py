@@ -72,7 +72,7 @@ def test_metrics_and_margins_can_be_goals() -> None:
 
 @pytest.mark.parametrize("name", MARGINS)
 def test_margins_can_be_promised(name: str) -> None:
-    row = {"stiffness": 375.0, "delay": 1, "ideal": False, **dict.fromkeys(MARGINS, 0.5)}
+    row = {"stiffness": 375.0, **dict.fromkeys(MARGINS, 0.5)}
     bound = 0.5 * (0.999 if MARGINS[name].ceiling else 1.001)
     check([row], plain_floor({name: 0.5}))
     with pytest.raises(InputError, match=name):

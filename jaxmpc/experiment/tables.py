@@ -181,9 +181,7 @@ def robot_of(experiment: "Experiment") -> Robot:
         viscous=arm.viscous,
         cable=_cable(arm, posture),
         tool_mass=arm.tool_mass - TOOL_MASS,
-        sensor=SensorModel(
-            lowpass_pole(experiment.loop_path().sensor_cutoff, T_s, FLOATS), sensor.lsb, arm.beyond_sensor
-        ),
+        sensor=SensorModel(lowpass_pole(path.sensor_cutoff, T_s, FLOATS), sensor.lsb, arm.beyond_sensor),
         tissue=Tissue(0.0, tissue.constants),
         nominal=Nominal(
             1.0 + arm.mass_error,

@@ -132,7 +132,7 @@ def test_constants_of_the_world() -> None:
     np.testing.assert_allclose(found.nominal.friction.viscous, 0.5 * np.array(arm.viscous))
     np.testing.assert_allclose(found.touch, tip_at(arm.posture))
     assert found.drive.angle_lsb == pytest.approx(2.0 * np.pi / 2048)
-    assert found.drive.velocity_pole == pytest.approx(np.exp(-0.1))
+    assert found.measurement.velocity_pole == pytest.approx(np.exp(-0.1))
     assert found.extra_delay == 1.0
     omega = 2.0 * np.pi * 20.0
     np.testing.assert_allclose(found.cable.stiffness, omega**2 * link_inertias(arm.posture))

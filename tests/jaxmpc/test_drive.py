@@ -1,7 +1,6 @@
 """Encoders, velocity filter and torque command of the drives; straight-through steps."""
 
 import math
-from types import SimpleNamespace
 
 import hypothesis.strategies as st
 import jax
@@ -11,17 +10,18 @@ import pytest
 import scipy.signal
 from hypothesis import given
 
+from jaxmpc.law import measurement
+from jaxmpc.law.measurement import Measurement, lowpass_pole
+from jaxmpc.law.ops import FLOATS
+from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.world import drive as drives
-from jaxmpc.world.drive import JOINT_TO_MOTOR, MOTOR_TO_JOINT, Drive, DriveState
+from jaxmpc.world.drive import Drive
 from jaxmpc.xla import ops
 
-FLOATS = SimpleNamespace(
-    floor=math.floor, where=lambda c, a, b: a if c else b, clip=lambda x, low, high: min(max(x, low), high)
-)
-ARRAYS = SimpleNamespace(floor=np.floor, where=np.where, clip=np.clip)
 T = np.array(JOINT_TO_MOTOR)
-WAM = Drive(1e-3, 2.0 * math.pi / 4096, math.exp(-0.18), 1.0 / 2700.0, drives.TORQUE_LIMIT)
-PERFECT = WAM._replace(angle_lsb=0.0, torque_lsb=0.0, velocity_pole=0.0)
+WAM = Drive(2.0 * math.pi / 4096, 1.0 / 2700.0)
+PERFECT = Drive(0.0, 0.0)
+MEASUREMENT = Measurement(1e-3, math.exp(-0.18))
 angles = st.tuples(*[st.floats(-3.0, 3.0)] * 4)
 torques = st.tuples(*[st.floats(-150.0, 150.0)] * 4)
 
@@ -57,9 +57,9 @@ def test_a_count_of_one_motor_moves_two_joints():
 def test_perfect_encoders_change_nothing():
     q = (0.1, -0.7, 0.3, 2.2)
     np.testing.assert_allclose(drives.read(PERFECT, q, FLOATS), q, rtol=1e-14)
-    assert (drives.angle_lsb(0), drives.pole(0.0, 1e-3)) == (0.0, 0.0)
+    assert (drives.angle_lsb(0), lowpass_pole(0.0, 1e-3, FLOATS)) == (0.0, 0.0)
     assert drives.angle_lsb(4096) == WAM.angle_lsb
-    assert drives.pole(180.0, 1e-3) == WAM.velocity_pole
+    assert lowpass_pole(180.0, 1e-3, FLOATS) == MEASUREMENT.velocity_pole
 
 
 def test_velocities_are_scipys_filter_of_differences():
@@ -67,38 +67,26 @@ def test_velocities_are_scipys_filter_of_differences():
     t = np.arange(500) * 1e-3
     path = 0.7 + 0.3 * np.sin(2 * np.pi * np.outer(t, [0.5, 1.0, 2.0, 3.0]))
     first = drives.read(WAM, tuple(path[0].tolist()), FLOATS)
-    state, found = DriveState(first, (0.0,) * 4), []
+    state, found = measurement.init(first), []
     for q in path.tolist():
-        state = drives.measure(WAM, state, tuple(q), FLOATS)
+        state = measurement.measure(MEASUREMENT, state, drives.read(WAM, tuple(q), FLOATS))
         found.append(state)
     angle = np.array([each.angle for each in found])
     raw = np.diff(angle, axis=0, prepend=[first]) / 1e-3
-    wanted = scipy.signal.lfilter([1.0 - WAM.velocity_pole], [1.0, -WAM.velocity_pole], raw, axis=0)
+    wanted = scipy.signal.lfilter([1.0 - MEASUREMENT.velocity_pole], [1.0, -MEASUREMENT.velocity_pole], raw, axis=0)
     np.testing.assert_allclose([each.velocity for each in found], wanted, atol=1e-12)
     np.testing.assert_allclose(angle, np.floor(path @ T.T / WAM.angle_lsb + 0.5) * WAM.angle_lsb @ np.linalg.inv(T).T)
 
 
 @given(torque=torques)
-def test_a_torque_is_held_at_the_motors_and_rounded_down(torque):
-    """Held for the observer, then cut to whole units; 1e-9 units for rounding."""
-    held, sent = (np.linalg.solve(T.T, np.array(each)) for each in drives.command(WAM, torque, FLOATS))
-    wanted = np.linalg.solve(T.T, np.array(torque))
-    np.testing.assert_allclose(held, np.clip(wanted, -np.array(WAM.torque_limit), WAM.torque_limit), atol=1e-12)
+def test_a_torque_is_rounded_down_at_the_motors(torque):
+    """Cut to whole units; 1e-9 units for rounding."""
+    sent = np.linalg.solve(T.T, np.array(drives.send(WAM, torque, FLOATS)))
     units = sent * 2700.0
     np.testing.assert_allclose(units, np.round(units), atol=1e-9)
-    lost = held * 2700.0 - units
+    lost = np.linalg.solve(T.T, np.array(torque)) * 2700.0 - units
     assert lost.min() > -1e-9
     assert lost.max() < 1.0 + 1e-9
-
-
-def test_two_joints_share_two_motors():
-    """J2 alone gets 101.7 N m, J3 alone 60.5 N m, as the reference computes; not both at once."""
-    for joint, most in ((0, 75.6), (1, 101.7), (2, 60.5), (3, 28.8)):
-        asked = tuple(1e3 if i == joint else 0.0 for i in range(4))
-        held = drives.command(PERFECT, asked, FLOATS)[0]
-        np.testing.assert_allclose(np.abs(held), [most if i == joint else 0.0 for i in range(4)], atol=0.06)
-    both = drives.command(PERFECT, (0.0, 101.7, 60.5, 0.0), FLOATS)[0]
-    assert abs(both[1]) / (2 * 28.25) + abs(both[2]) / (2 * 16.8155) <= 1.8 + 1e-12
 
 
 def test_a_batch_is_its_rows():
@@ -107,11 +95,9 @@ def test_a_batch_is_its_rows():
     q, torque = (0.1, 0.7, -0.2, 2.2), (3.0, -4.0, 5.0, 0.3)
     rows = (WAM, WAM._replace(angle_lsb=0.0, torque_lsb=0.0))
     for i, row in enumerate(rows):
-        np.testing.assert_allclose(
-            np.array(drives.read(mixed, q, ARRAYS))[:, i], drives.read(row, q, FLOATS), rtol=1e-14
-        )
-        batch, alone = drives.command(mixed, torque, ARRAYS), drives.command(row, torque, FLOATS)
-        np.testing.assert_allclose([np.broadcast_to(x, 2)[i] for x in batch[1]], alone[1], rtol=1e-14)
+        np.testing.assert_allclose(np.array(drives.read(mixed, q, np))[:, i], drives.read(row, q, FLOATS), rtol=1e-14)
+        batch, alone = drives.send(mixed, torque, np), drives.send(row, torque, FLOATS)
+        np.testing.assert_allclose([np.broadcast_to(x, 2)[i] for x in batch], alone, rtol=1e-14)
 
 
 @pytest.mark.parametrize("value", [-2.3, 0.0, 0.7, 5.0])
@@ -130,10 +116,10 @@ def test_steps_are_straight_through_in_both_modes(value):
 
 
 def test_slopes_of_the_drives_are_those_of_perfect_ones():
-    """Beyond the limits too: a tuner must see the loop through its saturation."""
+    """A tuner must see the loop through its counts."""
     q, torque = (0.1, 0.7, -0.2, 2.2), (100.0, -4.0, 5.0, 0.3)
     for drive in (WAM, PERFECT):
         read = jax.jacrev(lambda q, d=drive: jnp.stack(drives.read(d, q, ops)))(q)
         np.testing.assert_allclose(np.stack(read, 1), np.eye(4), atol=1e-14)
-        sent = jax.jacrev(lambda x, d=drive: jnp.stack(drives.command(d, x, ops)[1]))(torque)
+        sent = jax.jacrev(lambda x, d=drive: jnp.stack(drives.send(d, x, ops)))(torque)
         np.testing.assert_allclose(np.stack(sent, 1), np.eye(4), atol=1e-14)

@@ -12,7 +12,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jaxmpc import Experiment
-from jaxmpc.experiment.tables import ArmSettings, kalman_gains, robot_of
+from jaxmpc.experiment.tables import ArmSettings, force_filter, robot_of
+from jaxmpc.law import cascade
+from jaxmpc.law.cascade import Gains
 from jaxmpc.world import robot as world
 from jaxmpc.world.arm import chain, model, tip_at
 from jaxmpc.world.robot import HeartSample, RobotStructure
@@ -36,7 +38,7 @@ NONE = (0.0, 0.0, 0.0, 0.0)
 def robot(stiffness=0.0, sensor=None, **arm):
     """No friction, no rounding; keys as in [arm]."""
     arm = ArmSettings(**{"coulomb": NONE, "encoder_counts": 0, "torque_lsb": 0.0, **arm})
-    off = {"noise": 0.01, "lsb": (0.0, 0.0, 0.0)} | (sensor or {})
+    off = {"noise": 0.01, "lsb": (0.0, 0.0, 0.0), "lowpass_hz": 0.0} | (sensor or {})
     base = Experiment.published("table-1")
     sensor = msgspec.structs.replace(base.sensor, **off)
     found = robot_of(msgspec.structs.replace(base, physics="wam", arm=arm, sensor=sensor))
@@ -46,7 +48,7 @@ def robot(stiffness=0.0, sensor=None, **arm):
 def run(kind, of, state, torque, seconds, of_chain=CHAIN, advance=world.accelerate):
     """States after each step under constant torques."""
     states = []
-    for _ in range(round(seconds / of.drive.T_s)):
+    for _ in range(round(seconds / of.measurement.T_s)):
         state = state._replace(pending=(torque, torque))
         state = world.move(of_chain, kind, of, state, torque, (STILL,) * kind.substeps, advance, FLOATS)
         states.append(state)
@@ -85,7 +87,7 @@ def tip_errors(integrator, case, coriolis=True):
     errors = []
     for T_s in (2e-3, 1e-3):
         of = robot(stiffness, integrator=integrator)
-        of = of._replace(drive=of.drive._replace(T_s=T_s))
+        of = of._replace(measurement=of.measurement._replace(T_s=T_s))
         kind = RobotStructure(integrator=integrator)
         state = world.init(CHAIN, kind, of, 0.0, FLOATS)._replace(qd=speed)
         torque = tuple(held + more for held, more in zip(state.pending[0], push, strict=True))
@@ -130,7 +132,7 @@ def test_substeps_are_shorter_steps():
     state = world.init(CHAIN, RobotStructure(), of, 0.0, FLOATS)
     torque = tuple(held + 1.0 for held in state.pending[0])
     two = run(RobotStructure(substeps=2), of, state, torque, 0.02)
-    half = of._replace(drive=of.drive._replace(T_s=5e-4))
+    half = of._replace(measurement=of.measurement._replace(T_s=5e-4))
     np.testing.assert_allclose(
         [each.q for each in two], [each.q for each in run(RobotStructure(), half, state, torque, 0.02)[1::2]]
     )
@@ -147,7 +149,7 @@ def test_a_cable_rings_at_its_frequency_against_a_locked_motor(joint, hertz, rat
     """
     T_s = 0.01 / hertz
     of = robot(cable_hz=hertz, cable_damping=ratio, viscous=NONE)
-    of = of._replace(drive=of.drive._replace(T_s=T_s))
+    of = of._replace(measurement=of.measurement._replace(T_s=T_s))
     heavy = tuple(1e9 for _ in range(4))
     locked = CHAIN._replace(armature=heavy, gravity=(0.0, 0.0, 0.0))
     held = tuple(0.0 if i == joint else 1e9 for i in range(4))
@@ -210,7 +212,7 @@ def test_gains_of_the_force_filter(rate_change, noise):
     for _ in range(20_000):
         K = P @ C.T / (C @ P @ C.T + noise**2)
         P = A @ (P - K @ C @ P) @ A.T + Q
-    found = kalman_gains(rate_change, noise, 1e-3)
+    found = force_filter(rate_change, noise, 1e-3)[1:]
     np.testing.assert_allclose(found, K[:, 0], rtol=1e-8)
     predicting = control.dlqe(A, np.eye(2), C, Q, [[noise**2]])[0]
     np.testing.assert_allclose(A @ np.array(found), np.asarray(predicting)[:, 0], rtol=1e-8)
@@ -220,23 +222,24 @@ def readings(kind, of, heart_at, count):
     """What the sensor says of a heart moving under a still arm."""
     state, said = world.init(CHAIN, kind, of, 0.0, FLOATS), []
     for k in range(count):
-        force, _, state = world.sense(CHAIN, kind, of, state, heart_at(k), QUIET, FLOATS)
+        force, _, _, state = world.sense(CHAIN, kind, of, state, heart_at(k), QUIET, FLOATS)
         said.append(force)
     return np.array(said)
 
 
 def test_the_force_filter_is_the_kalman_filter():
-    """Of a falling heart, axis by axis, against the filter written as matrices."""
-    of, t = robot(810.0, sensor={"kalman": 20.0}), np.arange(200) * 1e-3
-    path = np.stack([1e-3 * t**2, 0.0 * t, -1e-2 * t], 1)
-    said = readings(RobotStructure(kalman=True), of, lambda k: HeartSample(tuple(path[k]), QUIET), 200)
-    K, x = np.array(of.sensor.kalman)[:, None], np.zeros((2, 3))
-    for k in range(200):
+    """A falling force, against the filter written as matrices."""
+    constants, t = force_filter(20.0, 0.01, 1e-3), np.arange(200) * 1e-3
+    gains = Gains((0.0,) * 2, (0.0,) * 2, (0.0,) * 4, (0.0,) * 3, 0.0, (0.0,), (0.0,) * 2, 0.0, None, constants)
+    state, K, x = cascade.init(gains), np.array(constants[1:]), np.zeros(2)
+    for force in 8.1 * t + 0.81 * t**2:
+        state, said = cascade.filter_force(gains, state, force)
         x = np.array([[1.0, 1e-3], [0.0, 1.0]]) @ x
-        x = x + K * (-810.0 * path[k] - x[0])
-        np.testing.assert_allclose(said[k], x[0], atol=1e-12)
-    # A steady ramp of 8.1 N/s it follows without lag.
-    np.testing.assert_allclose(said[-1, 2], 8.1 * t[-1], rtol=1e-4)
+        x = x + K * (force - x[0])
+        assert said == pytest.approx(x[0], abs=1e-12)
+    # It follows a ramp that hardly bends without lag.
+    assert said == pytest.approx(force, rel=1e-3)
+    assert cascade.expected_force(gains, state) == state.filtered.force + 1e-3 * state.filtered.rate
 
 
 def test_low_pass_and_counts_of_the_sensor():
@@ -257,7 +260,7 @@ def test_tool_beyond_the_sensor_reads_its_inertia_and_no_weight():
     torque = tuple(held + 2.0 for held in state.pending[0])
     state = state._replace(pending=(torque, torque))
     for _ in range(30):
-        force, _, state = world.sense(CHAIN, kind, of, state, STILL, QUIET, FLOATS)
+        force, _, _, state = world.sense(CHAIN, kind, of, state, STILL, QUIET, FLOATS)
         said.append(force)
         q.append(state.q)
         state = run(kind, of, state, torque, 1e-3)[0]

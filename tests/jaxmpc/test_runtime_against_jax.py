@@ -8,10 +8,12 @@ import pytest
 from deploy.controller.artifact import Artifact
 from deploy.controller.freeze import freeze
 from deploy.controller.golden import replay
+from deploy.controller.judged_loop import JudgedLoop
 from jaxmpc import Params, design
 from jaxmpc.law import cascade
 
-ROW = {"stiffness": 810.0, "delay": 1, "ideal": True, "M_s": 1.54, "gain_margin_db": 9.0, "gain_reduction_db": np.inf}
+LOOP = JudgedLoop(1, True, 180.0, 0.0)
+ROW = {"stiffness": 810.0, "M_s": 1.54, "gain_margin_db": 9.0, "gain_reduction_db": np.inf}
 ROW |= {"phase_margin_deg": 40.0, "delay_margin_s": 1e-3, "spectral_radius": 0.99}
 
 
@@ -39,11 +41,11 @@ def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architectu
     v = jax_trace(gains, force, force_ref)
     arrays = jax.tree.map(np.asarray, gains)
     floor, params = {"M_s": 2.0}, {"architecture": architecture}
-    artifact = Artifact(arrays, 1e-3, 10.0, preview, params, [ROW], floor, {}, force, force_ref, v)
-    deviation = replay(artifact)
+    artifact = Artifact(arrays, 1e-3, 10.0, preview, LOOP, params, [ROW], floor, {}, force, force_ref, v)
+    deviation, _ = replay(artifact)
     assert deviation <= 1e-12
     short = tuple(each[:50] for each in (force, force_ref, v))
-    frozen = freeze(tmp_path / "c.npz", arrays, 1e-3, 10.0, params, [ROW], floor, short, {}, preview)
+    frozen = freeze(tmp_path / "c.npz", arrays, 1e-3, 10.0, LOOP, params, [ROW], floor, short, {}, preview)
     assert (frozen.gains.K, cascade.order(frozen.gains)) == (tuple(np.asarray(gains.K).tolist()), order)
     assert frozen.gains.L == tuple(np.asarray(gains.L).tolist())
 
@@ -53,5 +55,5 @@ def test_another_law_would_be_seen():
     other = gains._replace(mpc_u=gains.mpc_u + 1e-8)
     force = np.random.default_rng(5).normal(-5.0, 1.0, (50, 3))
     v = jax_trace(gains, force, force)
-    artifact = Artifact(other, 1e-3, 10.0, False, {}, [ROW], {"M_s": 2.0}, {}, force, force, v)
-    assert replay(artifact) > 1e-9
+    artifact = Artifact(other, 1e-3, 10.0, False, LOOP, {}, [ROW], {"M_s": 2.0}, {}, force, force, v)
+    assert replay(artifact)[0] > 1e-9

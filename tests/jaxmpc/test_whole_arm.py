@@ -13,6 +13,7 @@ from jaxmpc.experiment.tables import kind_of, robot_on_its_tissue
 from jaxmpc.law import cascade, force_control
 from jaxmpc.law import chain as arm
 from jaxmpc.law.cascade import Gains
+from jaxmpc.law.force_control import Controller
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.whole_arm import lost, radii, robots_of, whole_arm_matrix
 from jaxmpc.world import drive
@@ -31,7 +32,7 @@ def experiment(delay: int = 1, stiffness: tuple[float, ...] = (K_S,), **changes:
 
 
 def world_of(given: Experiment) -> tuple[RobotStructure, Robot]:
-    return kind_of(given.arm, given.tissue, bool(given.sensor.kalman)), robot_on_its_tissue(given)
+    return kind_of(given.arm, given.tissue), robot_on_its_tissue(given)
 
 
 @pytest.mark.parametrize(
@@ -60,9 +61,15 @@ def test_a_heavy_perfect_arm_is_the_axis_three_times(params: Params, delay: int,
     np.testing.assert_array_less(third, tolerance)
 
 
-def at_rest(links: Any, kind: RobotStructure, robot: Robot) -> tuple[np.ndarray, Any]:
+def controller_of(robot: Robot, gains: Gains, K2: float) -> Controller:
+    return Controller(chain(), robot.nominal, robot.posture, gains, K2, robot.measurement)
+
+
+def at_rest(controller: Controller, kind: RobotStructure, robot: Robot) -> tuple[np.ndarray, Any]:
     """The loop's state as numbers, and the structure that they have."""
-    leaves, structure = jax.tree.flatten((force_control.init(), world.init(links, kind, robot, 0.0, np)))
+    state = world.init(chain(), kind, robot, 0.0, np)
+    held = force_control.init(controller, world.encoders(kind, robot, state, np), (0.0,) * 3)
+    leaves, structure = jax.tree.flatten((held, state))
     return np.array(leaves, float), structure
 
 
@@ -70,13 +77,11 @@ def one_sample(kind: RobotStructure, robot: Robot, gains: Gains, K2: float, stat
     """Law and world in numpy, put together here once more."""
     controller, state_of_world = state
     heart = HeartSample((0.0,) * 3, (0.0,) * 3)
-    force, _, seen = world.sense(chain(), kind, robot, state_of_world, heart, (0.0,) * 3, np)
-    q, qd = seen.drive
-    believed = chain(), robot.nominal, robot.posture
+    force, q, _, seen = world.sense(chain(), kind, robot, state_of_world, heart, (0.0,) * 3, np)
     wanted = ((0.0,),) * 3
-    controller, command = force_control.step(*believed, gains, K2, controller, q, qd, force, wanted, np)
-    held, sent = drive.command(robot.drive, command.torque.torque, np)
-    controller = force_control.applied(controller, command, held)
+    controller, command = force_control.step(controller_of(robot, gains, K2), controller, q, force, wanted, np)
+    sent = drive.send(robot.drive, command.torque.torque, np)
+    controller = force_control.applied(controller, command, command.torque.torque)
     return controller, world.move(chain(), kind, robot, seen, sent, [heart], world.accelerate, np)
 
 
@@ -88,7 +93,7 @@ def test_it_is_the_slope_of_one_sample() -> None:
     smooth = msgspec.structs.replace(smooth, sensor=msgspec.structs.replace(smooth.sensor, lsb=(0.0,) * 3))
     kind, robot = world_of(smooth)
     gains = jax.tree.map(np.asarray, cascade.constant_reference(design(Params())))
-    rest, structure = at_rest(chain(), kind, robot)
+    rest, structure = at_rest(controller_of(robot, gains, 20.0), kind, robot)
     n, step = len(rest), 1e-5
     shifted = rest[:, None] + step * np.hstack([np.eye(n), -np.eye(n)])
     following = jax.tree.leaves(one_sample(kind, robot, gains, 20.0, jax.tree.unflatten(structure, list(shifted))))

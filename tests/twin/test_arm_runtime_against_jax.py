@@ -10,14 +10,12 @@ from deploy.controller.artifact import Artifact
 from deploy.controller.file import load
 from deploy.controller.golden import replay
 from deploy.controller.limits import Limits
-from deploy.controller.runtimes import arm_runtime
 from jaxmpc import Experiment, Params, design
-from jaxmpc.cli.freeze import _believed, freeze_controller
+from jaxmpc.cli.freeze import freeze_controller, nominal_arm
 from jaxmpc.experiment.reference import Ramp
 from jaxmpc.export.golden import ArmRun, arm_law_trace, simulated_arm_runs
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import gain_backoff
-from jaxmpc.world import drive
 from jaxmpc.world.arm import chain, tip_at
 from tests.deploy import made
 
@@ -42,11 +40,13 @@ def frozen(tmp_path_factory):
 def artifact_of(experiment, gains, run, answer):
     """The controller with this run as its golden trace, so that `replay` runs all of it."""
     golden = {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
-    model = ArmModel.from_plain(_believed(experiment, None), golden)
+    model = ArmModel.from_plain(nominal_arm(experiment, None), golden)
     gains = jax.tree.map(np.asarray, gains)
     rows, floor = [made.margin_row(810.0)], {"M_s": 2.0}
     preview = experiment.reference.preview
-    return Artifact(gains, 1e-3, 10.0, preview, {}, rows, floor, {}, run.force, run.force_ref, answer.v, model)
+    return Artifact(
+        gains, 1e-3, 10.0, preview, made.LOOP, {}, rows, floor, {}, run.force, run.force_ref, answer.v, model
+    )
 
 
 def deviations(experiment, params, stiffness):
@@ -105,19 +105,6 @@ def test_another_law_would_be_seen(frozen):
     assert replay(Artifact(**(fields | {"arm": ArmModel(**heavier)})))[1] > TOLERANCE
 
 
-def test_the_velocity_filter_is_the_drives():
-    artifact = made.arm_artifact(3)
-    runtime, draw = arm_runtime(artifact), np.random.default_rng(1)
-    perfect = drive.Drive(1e-3, 0.0, drive.pole(made.VELOCITY_CUTOFF, 1e-3), 0.0, drive.TORQUE_LIMIT)
-    angles = np.cumsum(draw.normal(0.0, 1e-3, (100, 4)), axis=0)
-    state = drive.DriveState(tuple(angles[0]), (0.0,) * 4)
-    runtime.start(angles[0].tolist())
-    for q in angles:
-        state = drive.measure(perfect, state, tuple(q), np)
-        # There and back through the motors' angles rounds 1e-16 rad, a thousand times a second.
-        np.testing.assert_allclose(runtime.velocity(q.tolist()), state.velocity, rtol=0, atol=1e-12)
-
-
 def test_the_arm_of_plain_numbers_is_that_of_the_model_file():
     made_links, links = made.wam_chain().links, chain().links
     for one, other in zip(made_links, links, strict=True):
@@ -134,7 +121,7 @@ def test_freezing_from_parameters_to_a_file_that_runs(frozen):
     assert again.arm.limits == Limits.from_plain(Limits.default(tip_at(TABLE.arm.posture)).plain() | {"force": 9.0})
     assert again.arm.chain == artifact.arm.chain == chain()
     assert len(again.arm.golden_q) == 256
-    assert not any(row["ideal"] for row in again.margins)
+    assert not again.loop.ideal
 
 
 @pytest.mark.oracle
