@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from deploy.runtime.straightline import OPS, compile_straightline
-from jaxmpc.law import chain as arm
-from jaxmpc.law.chain import Chain
+from jaxmpc.law.chain import Chain, pose
+from jaxmpc.law.chain import tip as chain_tip
 from jaxmpc.law.scalar import apply, matmul
 from jaxmpc.law.vectors import Vector3, Vector4
 
@@ -40,7 +40,7 @@ def tip_kinematics(chain: Chain) -> Callable[[Vector4, Vector4], TipKinematics]:
     """
 
     def motion(q: Any, qd: Any) -> Any:
-        at_tip = arm.tip(chain, arm.pose(chain, q, OPS))
+        at_tip = chain_tip(chain, pose(chain, q, OPS))
         return at_tip.position, apply(at_tip.jacobian, qd), tool_axes(q, OPS)
 
     run = compile_straightline(motion, ((0.0,) * 4, (0.0,) * 4)).function

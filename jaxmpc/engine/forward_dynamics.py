@@ -6,8 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxmpc.law import chain as arm
-from jaxmpc.law.chain import Chain
+from jaxmpc.law.chain import Chain, inverse_dynamics, pose, with_point_mass
 from jaxmpc.law.scalar import Vector, solve_ldl
 from jaxmpc.world.robot import factored
 
@@ -40,8 +39,8 @@ def _implicit_jvp(fixed: Any, primals: Any, tangents: Any) -> tuple[Vector, Vect
     qdd = solve_ldl(factors, rest)
 
     def needed(q: Vector, qd: Vector, tool_mass: Any, viscous: Vector, share: Any) -> Vector:
-        loaded = arm.with_point_mass(chain, tool_mass)
-        links = arm.inverse_dynamics(loaded, arm.pose(loaded, q, ops), qd, qdd)
+        loaded = with_point_mass(chain, tool_mass)
+        links = inverse_dynamics(loaded, pose(loaded, q, ops), qd, qdd)
         return tuple(tau + D * (v + share * a) for tau, D, v, a in zip(links, viscous, qd, qdd, strict=True))
 
     dq, dqd, dtorque, *others = tangents

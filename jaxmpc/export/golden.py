@@ -16,8 +16,8 @@ from jaxmpc.law.cascade import Gains
 from jaxmpc.law.force_control import Controller
 from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.synthesis.params import Params
-from jaxmpc.world import drive as drives
 from jaxmpc.world.arm import chain
+from jaxmpc.world.drive import read as drive_read
 from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
@@ -68,7 +68,7 @@ def simulated_arm_runs(params: Params, experiment: Experiment, stiffness: tuple[
     drive, runs = robot_of(experiment).drive, []
     for q, force, force_ref in zip(trace["q"], trace["force"], trace["force_ref"], strict=True):
         # The encoders are read as the arm reads them, but for the cable, which the trace does not tell.
-        measured = np.stack(drives.read(drive, tuple(q), np), axis=1)
+        measured = np.stack(drive_read(drive, tuple(q), np), axis=1)
         wanted = np.moveaxis(force_ref, 0, 1)
         runs.append(ArmRun(measured, force.T, wanted if experiment.reference.preview else wanted[:, :, 0]))
     return runs

@@ -12,8 +12,7 @@ which is τ = Mₙ q̈ + cₙ + Jᵀ y with J q̈ = a − J̇q̇, and q̈₀ in 
 
 from typing import Any, NamedTuple
 
-from jaxmpc.law import chain as arm
-from jaxmpc.law.chain import Chain
+from jaxmpc.law.chain import Chain, dynamics, pose, tip, with_diagonal, with_point_mass
 from jaxmpc.law.friction_compensation import NominalFriction
 from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import (
@@ -58,7 +57,7 @@ class JointTorque(NamedTuple):
 
 def tip_velocity(chain: Chain, q: Vector, qd: Vector, ops: Ops) -> Vector:
     """Velocity of the tip [m/s] at measured joint angles [rad] and velocities [rad/s]."""
-    return apply(arm.tip(chain, arm.pose(chain, q, ops)).jacobian, qd)
+    return apply(tip(chain, pose(chain, q, ops)).jacobian, qd)
 
 
 def torque(
@@ -86,11 +85,11 @@ def torque(
         ops: Scalar functions.
     """
     share = nominal.mass_scale
-    model = arm.with_point_mass(chain, nominal.tool_error / share)
-    at = arm.pose(model, q, ops)
-    J = arm.tip(model, at).jacobian
-    found = arm.dynamics(model, at, qd)
-    mass = arm.with_diagonal(tuple(scale(share, row) for row in found.mass), chain.armature)
+    model = with_point_mass(chain, nominal.tool_error / share)
+    at = pose(model, q, ops)
+    J = tip(model, at).jacobian
+    found = dynamics(model, at, qd)
+    mass = with_diagonal(tuple(scale(share, row) for row in found.mass), chain.armature)
     bias = scale(share, found.bias)
 
     posture_acceleration = sub(

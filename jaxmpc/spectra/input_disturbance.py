@@ -21,9 +21,8 @@ from jaxtyping import Float
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.tables import robot_of
-from jaxmpc.law import chain as arm
 from jaxmpc.law import friction_compensation
-from jaxmpc.law.chain import Chain
+from jaxmpc.law.chain import Chain, dynamics, mass_matrix, pose, tip, with_point_mass
 from jaxmpc.law.computed_torque import POSTURE_DAMPING, POSTURE_STIFFNESS
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.scalar import sub
@@ -64,13 +63,13 @@ def uncompensated_acceleration(experiment: Experiment) -> Float[np.ndarray, "ste
     """
     T_s = experiment.sampling_time
     robot, truth = robot_of(experiment), chain()
-    truth = arm.with_point_mass(truth, robot.tool_mass)
-    model = arm.with_point_mass(truth, robot.nominal.tool_error / robot.nominal.mass_scale)
+    truth = with_point_mass(truth, robot.tool_mass)
+    model = with_point_mass(truth, robot.nominal.tool_error / robot.nominal.mass_scale)
     posture = _posture(truth, model, robot)
     x, velocity = displacement(experiment.motion, np.arange(experiment.steps) * T_s)
     q, qd = x @ posture.J_bar.T, velocity @ posture.J_bar.T
 
-    at = arm.pose(truth, tuple((q + robot.posture).T), np)
+    at = pose(truth, tuple((q + robot.posture).T), np)
     bias_error = robot.nominal.mass_scale * _bias(model, at, qd) - _bias(truth, at, qd)
     restoring = -(POSTURE_STIFFNESS * q + POSTURE_DAMPING * qd)
     given = restoring @ posture.M_n + bias_error - qd * robot.viscous
@@ -85,10 +84,10 @@ def uncompensated_acceleration(experiment: Experiment) -> Float[np.ndarray, "ste
 
 
 def _posture(truth: Chain, model: Chain, robot: Robot) -> _Posture:
-    at = arm.pose(truth, tuple(np.asarray(robot.posture)), np)
-    J = np.array(arm.tip(truth, at).jacobian, float)
-    M = np.array(arm.mass_matrix(truth, at), float) + np.diag(truth.armature)
-    M_n = robot.nominal.mass_scale * np.array(arm.mass_matrix(model, at), float) + np.diag(truth.armature)
+    at = pose(truth, tuple(np.asarray(robot.posture)), np)
+    J = np.array(tip(truth, at).jacobian, float)
+    M = np.array(mass_matrix(truth, at), float) + np.diag(truth.armature)
+    M_n = robot.nominal.mass_scale * np.array(mass_matrix(model, at), float) + np.diag(truth.armature)
     mobility = J @ np.linalg.solve(M, J.T)
     nominal_mobility = J @ np.linalg.solve(M_n, J.T)
     J_bar = np.linalg.solve(M, J.T) @ np.linalg.inv(mobility)
@@ -98,7 +97,7 @@ def _posture(truth: Chain, model: Chain, robot: Robot) -> _Posture:
 
 def _bias(of: Chain, at: Any, qd: Trajectory) -> Trajectory:
     """Coriolis and gravity torques along a motion [N m]."""
-    bias = arm.dynamics(of, at, tuple(qd.T)).bias
+    bias = dynamics(of, at, tuple(qd.T)).bias
     return np.stack(np.broadcast_arrays(*bias, qd[:, 0])[:4], axis=1)
 
 

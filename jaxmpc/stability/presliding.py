@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxmpc.law import chain as arm
+from jaxmpc.law.chain import mass_matrix, pose, tip, with_point_mass
 from jaxmpc.stability import margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import spring_integrals
@@ -47,10 +47,10 @@ def presliding_frequencies(experiment: "Experiment") -> Float[np.ndarray, "3"]:
     from jaxmpc.world.arm import chain
 
     robot = robot_of(experiment)
-    truth = arm.with_point_mass(chain(), robot.tool_mass)
-    at = arm.pose(truth, tuple(np.asarray(robot.posture)), np)
-    J = np.array(arm.tip(truth, at).jacobian, float)
-    M = np.array(arm.mass_matrix(truth, at), float) + np.diag(truth.armature)
+    truth = with_point_mass(chain(), robot.tool_mass)
+    at = pose(truth, tuple(np.asarray(robot.posture)), np)
+    J = np.array(tip(truth, at).jacobian, float)
+    M = np.array(mass_matrix(truth, at), float) + np.diag(truth.armature)
     mobility = J @ np.linalg.solve(M, J.T)
     J_bar = np.linalg.solve(M, J.T) @ np.linalg.inv(mobility)
     springs = np.asarray(robot.friction.coulomb) / np.asarray(robot.friction.presliding)

@@ -25,8 +25,7 @@ from jaxmpc.stability.loop import transition_matrix
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import arm, friction
-from jaxmpc.world import robot as world
-from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure, accelerate
 from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
@@ -50,7 +49,7 @@ def whole_arm_matrix(chain: Chain, kind: RobotStructure, robot: Robot, gains: Ga
         K2: Its damping [1/s].
     """
     gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
-    program = ArmLoop(chain, kind._replace(attached=True), world.accelerate)
+    program = ArmLoop(chain, kind._replace(attached=True), accelerate)
     cell = Cell(gains, jnp.asarray(K2, float), _smooth(robot))
     begin, quiet = start(program, cell, ops), _quiet(kind.substeps)
 

@@ -13,8 +13,8 @@ tied to the links by a spring and a damper per joint; the encoders then see the 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from jaxmpc.law import chain as arm
-from jaxmpc.law.chain import Chain
+from jaxmpc.law.chain import Chain, dynamics, inverse_dynamics, pose, with_diagonal, with_point_mass
+from jaxmpc.law.chain import tip as chain_tip
 from jaxmpc.law.computed_torque import Nominal
 from jaxmpc.law.measurement import Measurement
 from jaxmpc.law.ops import Ops
@@ -32,10 +32,18 @@ from jaxmpc.law.scalar import (
     times,
 )
 from jaxmpc.law.torque_limits import TorqueLimits
-from jaxmpc.world import drive as drives
-from jaxmpc.world import friction as frictions
-from jaxmpc.world import sensor as sensors
-from jaxmpc.world import tissue as tissues
+from jaxmpc.world.drive import Drive
+from jaxmpc.world.drive import read as drive_read
+from jaxmpc.world.friction import Friction
+from jaxmpc.world.friction import init as friction_init
+from jaxmpc.world.friction import step as friction_step
+from jaxmpc.world.sensor import SensorModel, SensorState
+from jaxmpc.world.sensor import init as sensor_init
+from jaxmpc.world.sensor import read as sensor_read
+from jaxmpc.world.tissue import Tissue
+from jaxmpc.world.tissue import force as tissue_force
+from jaxmpc.world.tissue import init as tissue_init
+from jaxmpc.world.tissue import relax as tissue_relax
 
 _NONE = (0.0, 0.0, 0.0, 0.0)
 
@@ -72,17 +80,17 @@ class Robot(NamedTuple):
 
     measurement: Measurement
     """How the controller makes velocities of the encoders' angles."""
-    drive: drives.Drive
+    drive: Drive
     limits: TorqueLimits
     """What of the wanted torques reaches the drives."""
-    friction: frictions.Friction
+    friction: Friction
     viscous: Vector
     """Viscous friction of the joints [N m s/rad]."""
     cable: Cable
     tool_mass: Scalar
     """Point mass at the tip beyond the MJCF's tool [kg]."""
-    sensor: sensors.SensorModel
-    tissue: tissues.Tissue
+    sensor: SensorModel
+    tissue: Tissue
     nominal: Nominal
     posture: Vector
     """Joint angles at the start and of the null space [rad]."""
@@ -113,7 +121,7 @@ class RobotState(NamedTuple):
     bristles: Vector
     """Presliding of the joint friction, normalised [-]."""
     tissue: Any
-    sensor: sensors.SensorState
+    sensor: SensorState
     pending: tuple[Vector, Vector]
     """Torques of the last two samples, newest first [N m]."""
 
@@ -140,19 +148,19 @@ def factored(
     chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Scalar, viscous: Vector, share: Scalar, ops: Ops
 ) -> tuple[Any, Vector]:
     """The equation that `accelerate` solves: factors of its left side, and its right side."""
-    loaded = arm.with_point_mass(chain, tool_mass)
-    found = arm.dynamics(loaded, arm.pose(loaded, q, ops), qd)
+    loaded = with_point_mass(chain, tool_mass)
+    found = dynamics(loaded, pose(loaded, q, ops), qd)
     diagonal = tuple(plus(A, times(share, D)) for A, D in zip(chain.armature, viscous, strict=True))
     rest = sub(sub(torque, found.bias), tuple(map(times, viscous, qd)))
-    return factor_ldl(arm.with_diagonal(found.mass, diagonal)), rest
+    return factor_ldl(with_diagonal(found.mass, diagonal)), rest
 
 
 def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Ops) -> RobotState:
     """The arm at rest in its posture, held against gravity, touching without force; numbers in the form of `like`."""
     zero = 0.0 * like
     four = (zero,) * 4
-    loaded = arm.with_point_mass(chain, robot.tool_mass)
-    held = add(arm.inverse_dynamics(loaded, arm.pose(loaded, robot.posture, ops), _NONE, _NONE), four)
+    loaded = with_point_mass(chain, robot.tool_mass)
+    held = add(inverse_dynamics(loaded, pose(loaded, robot.posture, ops), _NONE, _NONE), four)
     motor: Any = ()
     if kind.cable:
         wound = tuple(torque / spring for torque, spring in zip(held, robot.cable.stiffness, strict=True))
@@ -161,9 +169,9 @@ def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Op
         add(robot.posture, four),
         four,
         motor,
-        frictions.init(zero),
-        tissues.init(kind.tissue, zero),
-        sensors.init(kind.tool_inertia, zero),
+        friction_init(zero),
+        tissue_init(kind.tissue, zero),
+        sensor_init(kind.tool_inertia, zero),
         (held, held),
     )
 
@@ -186,9 +194,9 @@ def sense(
         Measured force on the tissue [N], joint angles that the encoders read [rad], tip displacement from where it
         touched [m], and the state with the sensor's filter moved on.
     """
-    at_tip = arm.tip(chain, arm.pose(chain, state.q, ops))
+    at_tip = chain_tip(chain, pose(chain, state.q, ops))
     tip, velocity = sub(at_tip.position, robot.touch), apply(at_tip.jacobian, state.qd)
-    true = tissues.force(
+    true = tissue_force(
         kind.tissue,
         kind.attached,
         robot.tissue,
@@ -197,13 +205,13 @@ def sense(
         sub(velocity, heart.velocity),
         ops,
     )
-    measured, sensor = sensors.read(robot.sensor, state.sensor, true, velocity, noise, robot.measurement.T_s, ops)
+    measured, sensor = sensor_read(robot.sensor, state.sensor, true, velocity, noise, robot.measurement.T_s, ops)
     return measured, encoders(kind, robot, state, ops), tip, state._replace(sensor=sensor)
 
 
 def encoders(kind: RobotStructure, robot: Robot, state: RobotState, ops: Ops) -> Vector:
     """Joint angles that the encoders read, at the motors [rad]."""
-    return drives.read(robot.drive, state.motor[0] if kind.cable else state.q, ops)
+    return drive_read(robot.drive, state.motor[0] if kind.cable else state.q, ops)
 
 
 def move(
@@ -251,15 +259,15 @@ def _substep(
     share = 0.5 * h if leapfrog else h
     q, qd = state.q, state.qd
     at = add(q, scale(lead, qd))
-    at_tip = arm.tip(chain, arm.pose(chain, at, ops))
+    at_tip = chain_tip(chain, pose(chain, at, ops))
     d = sub(sub(at_tip.position, robot.touch), heart.position)
     ddot = sub(apply(at_tip.jacobian, qd), heart.velocity)
-    y = tissues.force(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, ops)
-    relaxed = tissues.relax(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, h, ops)
+    y = tissue_force(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, ops)
+    relaxed = tissue_relax(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, h, ops)
     loaded = sub(_NONE, apply_transposed(at_tip.jacobian, y))
 
     moving = state.motor[1] if kind.cable else qd
-    bristles, rubbing = frictions.step(robot.friction, state.bristles, moving, h, ops)
+    bristles, rubbing = friction_step(robot.friction, state.bristles, moving, h, ops)
     driven = sub(torque, rubbing)
     motor: Any = ()
     if kind.cable:

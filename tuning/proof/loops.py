@@ -13,8 +13,10 @@ from jaxmpc.law.cascade import Gains
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis.params import Params
-from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact
+from jaxmpc.world.contact import init as contact_init
+from jaxmpc.world.contact import move as contact_move
+from jaxmpc.world.contact import sense as contact_sense
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.precision import in_float64
 from tuning.objective.measures import STEP_SAMPLES
@@ -93,12 +95,12 @@ def step_response(gains: Gains, contact: Contact, samples: int = STEP_SAMPLES) -
     # The law is plain arithmetic: it runs on arrays of tissues as it stands, and nothing is compiled.
     summed = gains._replace(mpc_ref=(np.sum(gains.mpc_ref),))
     zero: Any = np.zeros_like(contact.stiffness)
-    controller, state = cascade.init(gains, zero), world.init(zero)
+    controller, state = cascade.init(gains, zero), contact_init(zero)
     forces = []
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(samples):
-            force, state = world.sense(contact, state, zero)
+            force, state = contact_sense(contact, state, zero)
             controller, v = cascade.step(summed, controller, force, (1.0,))
-            state, _ = world.move(contact, state, v)
+            state, _ = contact_move(contact, state, v)
             forces.append(force)
     return np.concatenate(forces, axis=1)
