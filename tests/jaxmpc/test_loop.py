@@ -129,20 +129,24 @@ def test_a_torque_acts_after_its_delay(delay: int) -> None:
 def test_trouble_is_noticed_when_it_begins() -> None:
     sample = ArmSample(*[(0.0, 0.0, 0.0)] * len(ArmSample._fields))
 
-    def after(*steps: tuple[dict[str, Any], dict[str, Any]]) -> tuple[float, float]:
+    def after(*steps: tuple[dict[str, Any], dict[str, Any]]) -> tuple[float, float, float]:
         trouble = untroubled(0.0)
         for sampled, met in steps:
-            trouble = noticed(trouble, sample._replace(**sampled), NOW._replace(**met), np)
-        return float(trouble.diverged), float(trouble.lost_contact)
+            trouble = noticed(trouble, sample._replace(**sampled), NOW._replace(**met), 15.0, np)
+        return float(trouble.diverged), float(trouble.over_limit), float(trouble.lost_contact)
 
     above, below = {"tip": (0.0, 0.0, 1e-6)}, {"tip": (0.0, 0.0, -1e-6)}
     # The heart's surface at 0: the tip above it has left.
-    assert after((below, {})) == (np.inf, np.inf)
-    assert after((above, {"time": 2.5}), (above, {"time": 3.0})) == (np.inf, 2.5)
-    assert after((below, {}), (above, {"time": 3.0}), (below, {"time": 4.0})) == (np.inf, 3.0)
-    assert after((above, {"watch": 0.0})) == (np.inf, np.inf)
+    assert after((below, {})) == (np.inf, np.inf, np.inf)
+    assert after((above, {"time": 2.5}), (above, {"time": 3.0})) == (np.inf, np.inf, 2.5)
+    assert after((below, {}), (above, {"time": 3.0}), (below, {"time": 4.0})) == (np.inf, np.inf, 3.0)
+    assert after((above, {"watch": 0.0})) == (np.inf, np.inf, np.inf)
+    # 15 N of force together on all axes, or 20 N of residual on one.
+    assert after(({"force": (8.0, 8.0, 9.0)}, {})) == (np.inf, np.inf, np.inf)
+    assert after(({"force": (9.0, 9.0, 9.0)}, {"time": 1.5})) == (np.inf, 1.5, np.inf)
+    assert after(({"force": (0.0, 0.0, -5.0)}, {"time": 1.5, "force_ref": ((0.0,), (0.0,), (16.0,))}))[1] == 1.5
     for force in (2e3, -2e3, np.nan, np.inf):
-        assert after(({"force": (0.0, force, 0.0)}, {"time": 1.5}))[0] == 1.5
+        assert after(({"force": (0.0, force, 0.0)}, {"time": 1.5}))[:2] == (1.5, 1.5)
 
 
 def test_derivative_of_forward_dynamics_is_the_central_difference() -> None:
