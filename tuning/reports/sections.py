@@ -1,0 +1,175 @@
+"""What a report of a tuning run says, as titles, sentences and tables; `text` and `page` only say how it looks."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmpc.experiment import AXES
+from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Metric
+from jaxmpc.synthesis.params import STRUCTURE
+from tuning.job.scenarios import describe
+from tuning.proof.limits import active_margins
+from tuning.proof.reached import kept, rows, verdict
+from tuning.proof.result import KINDS, TuneResult
+from tuning.search.state import FEASIBLE
+
+
+class Table(NamedTuple):
+    """A table whose first column names the rows."""
+
+    head: Sequence[str]
+    rows: list[list[str]]
+    folded: str = ""
+    """Where it says too much to stand open, the title that opens it."""
+
+
+class Section(NamedTuple):
+    """A part of the report."""
+
+    title: str
+    sentences: list[str]
+    tables: list[Table]
+
+
+def summary(result: TuneResult) -> tuple[str, str]:
+    """How it stands to its goals, and what became of the worst residual."""
+    rms, (before, after) = METRICS["rms"], result.worst
+    change = f" ({-100 * result.gain:+.1f} %)" if np.isfinite(result.gain) else ""
+    return verdict(result), f"worst held-out {rms.heading}: {_entry(rms, before)} → {_entry(rms, after)}{change}"
+
+
+def sections(result: TuneResult) -> list[Section]:
+    """What a report says of the result itself."""
+    return [_heldout(result), _goals(result), _parameters(result), _scenarios(result), _robustness(result)]
+
+
+def way(result: TuneResult) -> Iterator[str]:
+    """A sentence for each step of the search."""
+    for step in result.steps:
+        state = step.state
+        skipped = f", {int(state.skipped.sum())} steps skipped for a gradient not finite" if state.skipped.any() else ""
+        score = f"{state.best.min():.4f}" if state.feasible else "no feasible point"
+        yield f"{step.name}: {state.iteration} iterations of {len(state.z)} starts, score {score}{skipped}"
+
+
+def _heldout(result: TuneResult) -> Section:
+    seeds, stiffness, counted = result.spec.tune.heldout_seeds, result.spec.experiment.stiffness, kept(result)
+    tables = []
+    for metric in METRICS.values():
+        cells, fell = getattr(result.heldout, metric.name), _lowered(result, metric)
+        worst = cells[:, counted].max(axis=1)
+        lines, each = [], []
+        for i, K_s in enumerate(stiffness):
+            changes = zip(_arrows(metric, worst[:, i]), map(_percent, fell[i]), strict=True)
+            lines.append([f"{K_s:g}", *(entry for pair in changes for entry in pair)])
+            each += [[f"{seed}, {K_s:g} N/m", *_arrows(metric, cells[:, s, i])] for s, seed in enumerate(seeds)]
+        head = [entry for axis in AXES for entry in (f"{axis}, worst", "over all")]
+        tables.append(Table([f"{metric.heading} at K_s [N/m]", *head], lines))
+        tables.append(Table(["seed, K_s", *AXES], each, f"{metric.heading} in every scenario: {metric.text}"))
+    return Section("Residual on held-out scenarios", [] if result.held.all() else [_lost(result)], tables)
+
+
+def _goals(result: TuneResult) -> Section:
+    spec = result.spec
+    lines = []
+    for row in rows(result):
+        place, met = f"{row.at:.4g}" if row.at else "", "yes" if row.met else "no"
+        lines.append([f"{row.kind}: {row.text}", *(f"{value:.4g}" for value in row.reached), met, place])
+    kind = "the ideal loop" if spec.ideal else "the loop as it runs"
+    words = (
+        f"Margins are those of {kind}, the worst over all tissues; goals of the runs are the worst of the held-out "
+        f"scenarios. Hard goals are held, soft ones minimised: {spec.risk.kind} over {len(spec.tune.train_seeds)} "
+        "scenarios in training."
+    )
+    return Section("Goals", [words], [Table(("goal", "before", "after", "met", "worst at K_s [N/m]"), lines)])
+
+
+def _parameters(result: TuneResult) -> Section:
+    spec, both = result.spec, (result.spec.before, result.params)
+    bounds = {axis.name: f"{axis.low:g} … {axis.high:g}" for axis in spec.space.axes}
+    lines, tables, sentences = [], [], []
+    for name, row in PARAMETERS.items():
+        values = [np.asarray(getattr(params, name)) for params in both]
+        lines.append([name, *map(_brief, values), row.unit, bounds.get(name, "frozen")])
+        if any(value.ndim for value in values):
+            entries = np.broadcast_arrays(*values)
+            each = [[str(k + 1), *(f"{x:.4g}" for x in pair)] for k, pair in enumerate(zip(*entries, strict=True))]
+            tables.append(Table(("entry", "before", "after"), each, f"every entry of {name}"))
+    lines += [[name, *(str(params.structure[name]) for params in both), "", ""] for name in STRUCTURE]
+    if len(result.orders) > 1:
+        scores = ", ".join(f"{order} {score:.4g}" for order, score in result.orders.items())
+        sentences.append(f"Best score of each disturbance order on the first level: {scores}.")
+    return Section("Parameters", sentences, [Table(("parameter", "before", "after", "unit", "bounds"), lines), *tables])
+
+
+def _scenarios(result: TuneResult) -> Section:
+    tune, added = result.spec.tune, [(step.name, step.added) for step in result.steps if step.added]
+    used = {"training": tune.train_seeds, "validation": tune.validation_seeds, "held out": tune.heldout_seeds}
+    lines = [[what, _spans(seeds)] for what, seeds in used.items()]
+    lines.append(["added by the worst-case search", _spans([one.trained.motion.seed for _, one in added])])
+    found = [
+        f"{name}: {describe(one.trained)}; soft goal {one.value:.3g}, {one.known:.3g} known." for name, one in added
+    ]
+    return Section("Scenarios", found, [Table(("used for", "seeds"), lines)])
+
+
+def _robustness(result: TuneResult) -> Section:
+    at = result.spec.judged_at
+    sentences = [f"Worst margins over {at[0]:g}–{at[-1]:g} N/m, after (before)."]
+    for name, K_s, normalised in active_margins(result):
+        stands = "active" if normalised <= FEASIBLE else "missed"
+        sentences.append(f"{name} is {stands} at {K_s:.4g} N/m, {100 * normalised:.1f} % of its limit.")
+    lines = []
+    for kind in KINDS:
+        found = result.margins[kind]
+        pairs = ([*map(row.entry, row.worst(getattr(found, name), axis=1))] for name, row in MARGINS.items())
+        lines.append([kind, *(f"{after} ({before})" for before, after in pairs)])
+    return Section("Robustness", sentences, [Table(("loop", *(row.heading for row in MARGINS.values())), lines)])
+
+
+def _lost(result: TuneResult) -> str:
+    """Which held-out scenarios were lost."""
+    seeds = np.asarray(result.spec.tune.heldout_seeds)
+    before, after = (", ".join(map(str, seeds[~held])) or "none" for held in result.held)
+    treated = "left out below" if result.held[0].any() else "all of them, so none is left out"
+    return f"Lost before: {before}{f' ({treated})' if before != 'none' else ''}; lost after: {after}."
+
+
+def _lowered(result: TuneResult, metric: Metric) -> np.ndarray:
+    """`TuneResult.lowered`, or NaN where the controller before held no scenario."""
+    if result.held[0].any():
+        return result.lowered(metric.name)
+    return np.full((len(result.spec.experiment.stiffness), 3), np.nan)
+
+
+def _arrows(metric: Metric, pair: np.ndarray) -> list[str]:
+    """Values before and after, (2, 3), as text per axis."""
+    return [f"{_entry(metric, before)} → {_entry(metric, after)}" for before, after in pair.T]
+
+
+def _entry(metric: Metric, value: float) -> str:
+    return metric.entry(value) if np.isfinite(value) else "unstable"
+
+
+def _percent(share: float) -> str:
+    """How far something fell, as a change."""
+    # Without a zero that is negative.
+    return f"{round(-100.0 * share, 1) + 0.0:+.1f} %" if np.isfinite(share) else "–"
+
+
+def _brief(value: np.ndarray) -> str:
+    """A value, or the range of a diagonal."""
+    return f"{value:.4g}" if value.ndim == 0 else f"{value.min():.2g}…{value.max():.2g}"
+
+
+def _spans(seeds: Sequence[int]) -> str:
+    """Seeds, those in a row as a span."""
+    found: list[list[int]] = []
+    for seed in sorted(seeds):
+        if found and seed == found[-1][-1] + 1:
+            found[-1].append(seed)
+        else:
+            found.append([seed])
+    spans = (f"{span[0]}–{span[-1]}" if len(span) > 2 else ", ".join(map(str, span)) for span in found)
+    return ", ".join(spans) or "none"
