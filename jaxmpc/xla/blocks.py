@@ -29,27 +29,60 @@ def over_blocks(function: Callable[..., Any], block: int = BLOCK) -> Callable[..
         A function of the same arguments for any number of rows; the last block is padded with copies of
         the last row. One compilation per number of blocks.
     """
-    devices = jax.local_devices()
-    mesh = Mesh(np.array(devices), ("device",))
-    spec: Any = PartitionSpec
-    split, whole = spec("device"), spec()
 
-    def on_device(blocks: Any, shared: Any) -> Any:
+    def over(blocks: Any, shared: Any) -> Any:
         return jax.lax.map(lambda one: function(one, shared), blocks)
 
-    dealt = jax.jit(jax.shard_map(on_device, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False))
+    def deal(leaf: Any) -> Any:
+        leaf = np.asarray(leaf)
+        return leaf.reshape(-1, block, *leaf.shape[1:])
+
+    dealt = OverDevices(over)
 
     def run(batch: Any, shared: Any) -> Any:
         rows = len(jax.tree.leaves(batch)[0])
-        per_round = block * len(devices)
-        missing = -rows % per_round
-
-        def deal(leaf: Any) -> Any:
-            leaf = np.asarray(leaf)
-            padded = np.concatenate([leaf, np.repeat(leaf[-1:], missing, axis=0)])
-            return padded.reshape(-1, block, *leaf.shape[1:])
-
-        done = dealt(jax.tree.map(deal, batch), jax.tree.map(jnp.asarray, shared))
+        whole = padded(batch, block * jax.local_device_count())
+        done = dealt(jax.tree.map(deal, whole), shared)
         return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *leaf.shape[2:])[:rows], done)
 
     return run
+
+
+class OverDevices:
+    """A compiled version of f(batch, shared) whose rows are dealt out to all local devices.
+
+    It takes any number of rows: where the devices cannot share them, copies of the last row fill up, and do not come
+    back.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Wrap a traceable function of a batch of any number of rows, and of what all share."""
+        mesh = Mesh(np.array(jax.local_devices()), ("device",))
+        spec: Any = PartitionSpec
+        split, whole = spec("device"), spec()
+        self._devices = mesh.size
+        self._dealt = jax.jit(
+            jax.shard_map(function, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False)
+        )
+
+    def __call__(self, batch: Any, shared: Any) -> Any:
+        """What the function returns for every row, as numpy."""
+        rows = len(jax.tree.leaves(batch)[0])
+        found = self._dealt(padded(batch, self._devices), jax.tree.map(jnp.asarray, shared))
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[:rows], found)
+
+    @property
+    def programs(self) -> int:
+        """How many programs it has compiled."""
+        return int(self._dealt._cache_size())
+
+
+def padded(batch: Any, multiple: int) -> Any:
+    """A batch filled up with copies of its last row to a multiple of a number of rows."""
+    missing = -len(jax.tree.leaves(batch)[0]) % multiple
+
+    def fill(leaf: Any) -> Any:
+        leaf = np.asarray(leaf)
+        return np.concatenate([leaf, np.repeat(leaf[-1:], missing, axis=0)])
+
+    return jax.tree.map(fill, batch)

@@ -16,7 +16,7 @@ from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.objective.loss import HEADROOM, PENALTY, value_and_gradient
-from tuning.objective.problem import Problem, _dealt
+from tuning.objective.problem import Problem, over_starts
 from tuning.proof.agreement import agreement
 from tuning.proof.gradients import SCORE, judged_on, on_tissue, slopes, values_at
 from tuning.proof.limits import limits, multipliers_of
@@ -146,8 +146,7 @@ def test_curves_show_the_worse_cut_and_end_where_the_reference_asks(spec: TuneSp
 
 def compiled(problem: Problem) -> tuple[int, int]:
     """How many functions have been dealt out, and how many programs there are of the one that descends."""
-    dealt: Any = _dealt(value_and_gradient, problem.structure)
-    return _dealt.cache_info().currsize, dealt._cache_size()
+    return over_starts.cache_info().currsize, over_starts(value_and_gradient, problem.structure).programs
 
 
 @pytest.mark.oracle

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
 
 from jaxmpc.engine.base import ScenarioData
 from jaxmpc.engine.scenario import program_spec, scenario_data, side_by_side
@@ -17,6 +16,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.spectra.input_disturbance import uncompensated_acceleration
 from jaxmpc.spectra.spectrum import spectrum_of
+from jaxmpc.xla.blocks import OverDevices
 from tuning.job.goals import RATIO, RUN_GOALS
 from tuning.job.scenarios import scenarios, scene_over
 from tuning.job.settings import Level
@@ -48,15 +48,12 @@ class Problem(NamedTuple):
         return self._dealt_out(value_alone, z, 1.0)
 
     def _dealt_out(self, function: Callable[..., Values], z: np.ndarray, width: float) -> Values:
-        missing = -len(z) % len(jax.local_devices())
-
         def wide(limit: Any) -> Any:
-            return jnp.broadcast_to(jnp.asarray(limit, float), (len(z),))
+            return np.broadcast_to(np.asarray(limit, float), (len(z),))
 
         rows = z, jax.tree.map(wide, self.data.margins), jax.tree.map(wide, self.data.hard)
-        padded = jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)]), rows)
-        found = _dealt(function, self.structure)(padded, self.data._replace(margins={}, hard={}), width)
-        values: Values = jax.tree.map(lambda leaf: np.asarray(leaf)[: len(z)], found)
+        shared = self.data._replace(margins={}, hard={}), width
+        values: Values = over_starts(function, self.structure)(rows, shared)
         return values
 
     @property
@@ -78,19 +75,14 @@ class Problem(NamedTuple):
 
 
 @cache
-def _dealt(function: Callable[..., Values], structure: ProblemStructure) -> Callable[..., Values]:
+def over_starts(function: Callable[..., Values], structure: ProblemStructure) -> OverDevices:
     """Compiled once per structure and shapes; each device has its share of the starts."""
-    spec: Any = PartitionSpec
-    split, whole = spec("device"), spec()
 
-    def on_device(rows: Any, data: Data, width: Any) -> Values:
-        z, margins, hard = rows
+    def on_device(rows: Any, shared: Any) -> Values:
+        (z, margins, hard), (data, width) = rows, shared
         return function(z, data._replace(margins=margins, hard=hard), width, structure)
 
-    mesh = Mesh(np.array(jax.local_devices()), ("device",))
-    mapped = jax.shard_map(on_device, mesh=mesh, in_specs=(split, whole, whole), out_specs=split, check_vma=False)
-    compiled: Callable[..., Values] = jax.jit(mapped)
-    return compiled
+    return OverDevices(on_device)
 
 
 def training(spec: TuneSpec, seeds: Sequence[int]) -> list[Experiment]:

@@ -5,14 +5,11 @@ extends a shorter one and never changes it, and the spacing of the times asked f
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from jaxmpc.world.heart.harmonics import fade_in, fade_in_rate
-
-if TYPE_CHECKING:
-    from jaxmpc.world.heart.motion import Motion
 
 NOMINAL_CYCLE = 1.0 / 1.265
 """Cycle of the harmonic table, the comb through the peaks of the paper's Fig. 4 [s]."""
@@ -45,6 +42,35 @@ COUGH, COUGH_DURATION = 0.010, 0.3
 """Displacement of a cough [m] and the time in which it is reached, and undone [s]."""
 
 
+class RhythmKeys(Protocol):
+    """What a rhythm is made from; `jaxmpc.world.heart.motion.Motion` tells the keys."""
+
+    @property
+    def rhythm(self) -> str: ...
+    @property
+    def seed(self) -> int: ...
+    @property
+    def heart_rate_hz(self) -> float: ...
+    @property
+    def rr_variation(self) -> float: ...
+    @property
+    def sinus_arrhythmia(self) -> float: ...
+    @property
+    def heart_rate_drift(self) -> float: ...
+    @property
+    def rate_step_hz(self) -> tuple[float, float]: ...
+    @property
+    def rate_step_at(self) -> float: ...
+    @property
+    def ventilation(self) -> str: ...
+    @property
+    def respiratory_rate_hz(self) -> float: ...
+    @property
+    def ventilation_at(self) -> float: ...
+    @property
+    def hold_duration(self) -> float: ...
+
+
 class Beats(NamedTuple):
     """The beats of a run, a few past its end."""
 
@@ -59,7 +85,7 @@ def generator(seed: int, stream: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox([seed, stream]))
 
 
-def beats(motion: "Motion", until: float) -> Beats:
+def beats(motion: RhythmKeys, until: float) -> Beats:
     """Beat onsets of `motion.rhythm` from 0 to beyond `until` [s]."""
     interval = _intervals(motion)
     onsets = [0.0]
@@ -72,7 +98,7 @@ def beats(motion: "Motion", until: float) -> Beats:
     return _with_premature_beats(sinus.onsets, BURST[motion.rhythm], generator(motion.seed, 2))
 
 
-def _intervals(motion: "Motion") -> Callable[[float], float]:
+def _intervals(motion: RhythmKeys) -> Callable[[float], float]:
     """The RR interval [s] that begins at a time [s]; called once a beat, in order."""
     match motion.rhythm:
         case "variability":
@@ -90,7 +116,7 @@ def _intervals(motion: "Motion") -> Callable[[float], float]:
             return lambda t: 1.0 / motion.heart_rate_hz
 
 
-def _variable_intervals(motion: "Motion") -> Callable[[float], float]:
+def _variable_intervals(motion: RhythmKeys) -> Callable[[float], float]:
     """RR = (1 + CV·w(t)) / (f + drift(t)) + RSA/2·sin(2π θ_r), w of unit variance with ECGSYN's spectrum."""
     random = generator(motion.seed, 2)
     bands = np.repeat([WAVES_HZ, motion.respiratory_rate_hz], WAVES_PER_BAND)
@@ -186,7 +212,7 @@ def beat_gain(gain: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return before + change * blend, change * fade_in_rate(since, -GAIN_BLEND, GAIN_BLEND)
 
 
-def respiratory_phase(motion: "Motion", t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def respiratory_phase(motion: RhythmKeys, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Phase of the ventilator, shape (n,) [cycles], and its rate, shape (n,) [cycles/s].
 
     During a hold the lungs stay where it found them.
@@ -210,7 +236,7 @@ def _ramp(t: np.ndarray, start: float) -> tuple[np.ndarray, np.ndarray]:
     return integral, fade_in(t, start, HOLD_RAMP)
 
 
-def cough(motion: "Motion", t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def cough(motion: RhythmKeys, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Displacement of the cough along the direction of breathing, shape (n,) [m], and its velocity [m/s]."""
     if motion.ventilation != "cough":
         return np.zeros(np.shape(t)), np.zeros(np.shape(t))
