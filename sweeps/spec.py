@@ -12,7 +12,7 @@ from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
 from jaxmpc.quantities import PARAMETERS
 from jaxmpc.synthesis.params import Params
-from jaxmpc.world.heart.motion import Seed
+from jaxmpc.world.heart.bounds import Seed
 from sweeps.space import MOST_ROWS, Scale, SweepAxis, SweepSpace, make_axis, make_space
 
 Ends = tuple[float, float]

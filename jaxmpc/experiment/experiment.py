@@ -13,7 +13,8 @@ from jaxmpc.experiment.tables import ArmSettings, TissueSettings, force_filter
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import AXES, HP_MAX
 from jaxmpc.synthesis.params import Timing
-from jaxmpc.world.heart.motion import Motion, Seconds, Seed, Size, displacement
+from jaxmpc.world.heart.bounds import Seconds, Seed, Size
+from jaxmpc.world.heart.motion import Motion, displacement
 from jaxmpc.world.loop_path import LoopPath, loop_path
 
 Physics = Literal["linear", "wam", "mjx"]

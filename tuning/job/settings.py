@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from jaxmpc.files.errors import InputError
-from jaxmpc.world.heart.motion import Seed
+from jaxmpc.world.heart.bounds import Seed
 
 Count = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 Level = Literal["frequency", "linear", "arm"]

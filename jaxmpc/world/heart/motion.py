@@ -1,7 +1,7 @@
 """How the heart moves: position and velocity of its surface at any time."""
 
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -9,17 +9,15 @@ import numpy as np
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import convert
 from jaxmpc.world.heart import harmonics, recording, rhythm
+from jaxmpc.world.heart.bounds import Seconds, Size
+from jaxmpc.world.heart.rhythm import RhythmSettings
 
 Surface = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Position, shape (n, 3) [m], and velocity, shape (n, 3) [m/s], of the heart's surface at times, shape (n,) [s]."""
-Seed = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
-Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)]
-Size = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
-HeartRate = Annotated[float, msgspec.Meta(ge=0.6, le=2.5)]
 
 
-class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the heart moves.
+class Motion(RhythmSettings, frozen=True, forbid_unknown_fields=True):
+    """How the heart moves; the keys of a rhythm need kind = "rhythm".
 
     Where a figure comes from: (published), (usual practice), or (chosen here).
     """
@@ -30,8 +28,6 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Factor on the displacement [-]."""
     phases: Literal["table", "random"] = "table"
     """Phases of the harmonics: the table's, or drawn from `seed`."""
-    seed: Seed = 0
-    """Seed of the phases, and of all that a rhythm draws."""
     file: str = ""
     """A recording, CSV or npz; relative to the experiment's file."""
     unit: Literal["m", "mm"] = "m"
@@ -41,44 +37,12 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fade: Seconds = 1.0
     """Time in which it grows to its full size [s]; 0 makes it jump there."""
 
-    # All below needs kind = "rhythm".
-    rhythm: Literal["steady", "variability", "rate-step", "premature", "bigeminy", "fibrillation"] = "steady"
-    """"premature": one beat in 10–20 comes early, at 45–75 % of the cycle (published), and a full compensatory pause
-    follows; its displacement is × 0.5–0.8, the next one's × 1.1–1.3 (chosen here). "bigeminy": bursts in which every
-    other beat is one. "fibrillation": RR varies by 20 %, no beat knowing of the last (chosen here)."""
-    heart_rate_hz: HeartRate = 1.265
-    """Mean heart rate of every rhythm but the rate step [Hz] (published)."""
-    rr_variation: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 0.02
-    """Variability: standard deviation over mean of the RR interval, ECGSYN's two bands [-] (published: 2.2 %)."""
-    sinus_arrhythmia: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 0.02
-    """Variability: peak to peak of RR over one breath [s] (published: 0.011–0.037)."""
-    heart_rate_drift: Annotated[float, msgspec.Meta(ge=0.0, le=20.0)] = 10.0
-    """Variability: slow drift to either side, from end to end in 60 s [1/min] (chosen here)."""
-    rate_step_hz: tuple[HeartRate, HeartRate] = (1.0, 110.0 / 60.0)
-    """Rate step: heart rate before and after it, 60 and 110 per minute; it takes 3 s [Hz] (chosen here)."""
-    rate_step_at: Seconds = 10.0
-    """When the rate step begins [s]."""
-    ventilation: Literal["steady", "hold", "cough"] = "steady"
-    """"hold": the ventilator stops once. "cough": 10 mm in 0.3 s along the direction of breathing, and back."""
-    respiratory_rate_hz: Annotated[float, msgspec.Meta(ge=0.2, le=0.45)] = 0.35
-    """Ventilator rate [Hz] (published: 0.34 and twice that; usual practice: 12–25 per minute)."""
-    ventilation_at: Seconds = 10.0
-    """When the hold or the cough begins [s]."""
-    hold_duration: Annotated[float, msgspec.Meta(ge=1.0, le=60.0)] = 10.0
-    """Length of the hold [s] (usual practice: 10–30)."""
-    amplitude_spread: Annotated[float, msgspec.Meta(ge=0.0, le=0.9)] = 0.0
-    """Half-width of a factor on the amplitude about 1, drawn once per axis [-] (chosen here: 0.3)."""
-    drift: Annotated[float, msgspec.Meta(ge=0.0, le=0.02)] = 0.0
-    """Drift of the baseline in a drawn direction, not scaled [m/min] (chosen here: 0.002)."""
-
     def __post_init__(self) -> None:
         if self.kind == "rhythm":
             return
-        fields = msgspec.structs.fields(self)
-        names = [field.name for field in fields]
-        for field in fields[names.index("rhythm") :]:
+        for field in msgspec.structs.fields(RhythmSettings):
             value = getattr(self, field.name)
-            if value != field.default:
+            if field.name != "seed" and value != field.default:
                 remedy = 'Set motion.kind = "rhythm" or remove this key.'
                 raise InputError(f"motion.{field.name}", value, "given for a rhythm only", remedy)
 

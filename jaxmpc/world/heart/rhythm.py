@@ -5,10 +5,12 @@ extends a shorter one and never changes it, and the spacing of the times asked f
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Annotated, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
+from jaxmpc.world.heart.bounds import Seconds, Seed
 from jaxmpc.world.heart.harmonics import fade_in, fade_in_rate
 
 NOMINAL_CYCLE = 1.0 / 1.265
@@ -42,33 +44,45 @@ COUGH, COUGH_DURATION = 0.010, 0.3
 """Displacement of a cough [m] and the time in which it is reached, and undone [s]."""
 
 
-class RhythmKeys(Protocol):
-    """What a rhythm is made from; `jaxmpc.world.heart.motion.Motion` tells the keys."""
+HeartRate = Annotated[float, msgspec.Meta(ge=0.6, le=2.5)]
 
-    @property
-    def rhythm(self) -> str: ...
-    @property
-    def seed(self) -> int: ...
-    @property
-    def heart_rate_hz(self) -> float: ...
-    @property
-    def rr_variation(self) -> float: ...
-    @property
-    def sinus_arrhythmia(self) -> float: ...
-    @property
-    def heart_rate_drift(self) -> float: ...
-    @property
-    def rate_step_hz(self) -> tuple[float, float]: ...
-    @property
-    def rate_step_at(self) -> float: ...
-    @property
-    def ventilation(self) -> str: ...
-    @property
-    def respiratory_rate_hz(self) -> float: ...
-    @property
-    def ventilation_at(self) -> float: ...
-    @property
-    def hold_duration(self) -> float: ...
+
+class RhythmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a rhythm is made from.
+
+    Where a figure comes from: (published), (usual practice), or (chosen here).
+    """
+
+    seed: Seed = 0
+    """Seed of the phases, and of all that a rhythm draws."""
+    rhythm: Literal["steady", "variability", "rate-step", "premature", "bigeminy", "fibrillation"] = "steady"
+    """"premature": one beat in 10–20 comes early, at 45–75 % of the cycle (published), and a full compensatory pause
+    follows; its displacement is × 0.5–0.8, the next one's × 1.1–1.3 (chosen here). "bigeminy": bursts in which every
+    other beat is one. "fibrillation": RR varies by 20 %, no beat knowing of the last (chosen here)."""
+    heart_rate_hz: HeartRate = 1.265
+    """Mean heart rate of every rhythm but the rate step [Hz] (published)."""
+    rr_variation: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 0.02
+    """Variability: standard deviation over mean of the RR interval, ECGSYN's two bands [-] (published: 2.2 %)."""
+    sinus_arrhythmia: Annotated[float, msgspec.Meta(ge=0.0, le=0.1)] = 0.02
+    """Variability: peak to peak of RR over one breath [s] (published: 0.011–0.037)."""
+    heart_rate_drift: Annotated[float, msgspec.Meta(ge=0.0, le=20.0)] = 10.0
+    """Variability: slow drift to either side, from end to end in 60 s [1/min] (chosen here)."""
+    rate_step_hz: tuple[HeartRate, HeartRate] = (1.0, 110.0 / 60.0)
+    """Rate step: heart rate before and after it, 60 and 110 per minute; it takes 3 s [Hz] (chosen here)."""
+    rate_step_at: Seconds = 10.0
+    """When the rate step begins [s]."""
+    ventilation: Literal["steady", "hold", "cough"] = "steady"
+    """"hold": the ventilator stops once. "cough": 10 mm in 0.3 s along the direction of breathing, and back."""
+    respiratory_rate_hz: Annotated[float, msgspec.Meta(ge=0.2, le=0.45)] = 0.35
+    """Ventilator rate [Hz] (published: 0.34 and twice that; usual practice: 12–25 per minute)."""
+    ventilation_at: Seconds = 10.0
+    """When the hold or the cough begins [s]."""
+    hold_duration: Annotated[float, msgspec.Meta(ge=1.0, le=60.0)] = 10.0
+    """Length of the hold [s] (usual practice: 10–30)."""
+    amplitude_spread: Annotated[float, msgspec.Meta(ge=0.0, le=0.9)] = 0.0
+    """Half-width of a factor on the amplitude about 1, drawn once per axis [-] (chosen here: 0.3)."""
+    drift: Annotated[float, msgspec.Meta(ge=0.0, le=0.02)] = 0.0
+    """Drift of the baseline in a drawn direction, not scaled [m/min] (chosen here: 0.002)."""
 
 
 class Beats(NamedTuple):
@@ -85,7 +99,7 @@ def generator(seed: int, stream: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox([seed, stream]))
 
 
-def beats(motion: RhythmKeys, until: float) -> Beats:
+def beats(motion: RhythmSettings, until: float) -> Beats:
     """Beat onsets of `motion.rhythm` from 0 to beyond `until` [s]."""
     interval = _intervals(motion)
     onsets = [0.0]
@@ -98,7 +112,7 @@ def beats(motion: RhythmKeys, until: float) -> Beats:
     return _with_premature_beats(sinus.onsets, BURST[motion.rhythm], generator(motion.seed, 2))
 
 
-def _intervals(motion: RhythmKeys) -> Callable[[float], float]:
+def _intervals(motion: RhythmSettings) -> Callable[[float], float]:
     """The RR interval [s] that begins at a time [s]; called once a beat, in order."""
     match motion.rhythm:
         case "variability":
@@ -116,7 +130,7 @@ def _intervals(motion: RhythmKeys) -> Callable[[float], float]:
             return lambda t: 1.0 / motion.heart_rate_hz
 
 
-def _variable_intervals(motion: RhythmKeys) -> Callable[[float], float]:
+def _variable_intervals(motion: RhythmSettings) -> Callable[[float], float]:
     """RR = (1 + CV·w(t)) / (f + drift(t)) + RSA/2·sin(2π θ_r), w of unit variance with ECGSYN's spectrum."""
     random = generator(motion.seed, 2)
     bands = np.repeat([WAVES_HZ, motion.respiratory_rate_hz], WAVES_PER_BAND)
@@ -212,7 +226,7 @@ def beat_gain(gain: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return before + change * blend, change * fade_in_rate(since, -GAIN_BLEND, GAIN_BLEND)
 
 
-def respiratory_phase(motion: RhythmKeys, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def respiratory_phase(motion: RhythmSettings, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Phase of the ventilator, shape (n,) [cycles], and its rate, shape (n,) [cycles/s].
 
     During a hold the lungs stay where it found them.
@@ -236,7 +250,7 @@ def _ramp(t: np.ndarray, start: float) -> tuple[np.ndarray, np.ndarray]:
     return integral, fade_in(t, start, HOLD_RAMP)
 
 
-def cough(motion: RhythmKeys, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def cough(motion: RhythmSettings, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Displacement of the cough along the direction of breathing, shape (n,) [m], and its velocity [m/s]."""
     if motion.ventilation != "cough":
         return np.zeros(np.shape(t)), np.zeros(np.shape(t))
