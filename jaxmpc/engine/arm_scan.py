@@ -110,7 +110,7 @@ def run(
         )
         trouble = noticed(trouble, sample, now, force_limit, ops)
         kept = sample._replace(force_ref=raw.force_ref) if traced else None
-        return (following, (totals, clamped), trouble), kept
+        return (following, (totals, clamped + sample.clamped[0]), trouble), kept
 
     def stretch(state: Any, part: ArmSignals) -> tuple[Any, ArmSample | None]:
         carry, (totals, clamped), trouble = state

@@ -4,6 +4,7 @@ The defaults are the nominal imperfect arm on the paper's elastic tissue. Every 
 itself with a zero.
 """
 
+import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
@@ -126,6 +127,10 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Motor torque per unit of the command [N m]; 0 is a perfect one."""
     torque_limit: Torques = MOTOR_TORQUE_LIMIT
     """Largest torque of each motor [N m]."""
+    joint_torque_limit: Torques = (50.0, 50.0, 50.0, 50.0)
+    """Largest torque of each joint, as the robot's clamp has it [N m]; 0 is no limit."""
+    torque_step_limit: Torques = (10.0, 10.0, 10.0, 10.0)
+    """Largest change of a joint's torque from one sample to the next, the same [N m]; 0 is no limit."""
     cable_hz: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0
     """Cable mode of each joint against its locked motor [Hz] (prior 15–60); 0 is a rigid cable."""
     cable_damping: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.05
@@ -176,7 +181,7 @@ def robot_of(experiment: "Experiment") -> Robot:
     return Robot(
         measurement=Measurement(T_s, lowpass_pole(path.velocity_cutoff, T_s, FLOATS)),
         drive=drive.Drive(drive.angle_lsb(arm.encoder_counts), arm.torque_lsb),
-        limits=TorqueLimits((float("inf"),) * 4, (float("inf"),) * 4, arm.torque_limit),
+        limits=TorqueLimits(_most(arm.joint_torque_limit), _most(arm.torque_step_limit), arm.torque_limit),
         friction=Friction(arm.coulomb, arm.presliding),
         viscous=arm.viscous,
         cable=_cable(arm, posture),
@@ -228,6 +233,11 @@ def force_filter(rate_change: float, noise: float, T_s: float) -> ForceFilter | 
     P = solve_discrete_are(A.T, C.T, np.diag([0.0, rate_change**2]), np.array([[R]]))
     force_gain, rate_gain = (P @ C.T / (C @ P @ C.T + R)).ravel().tolist()
     return ForceFilter(T_s, force_gain, rate_gain)
+
+
+def _most(limits: Torques) -> Vector:
+    """Limits of the law, in which 0 is none [N m]."""
+    return tuple(limit or math.inf for limit in limits)
 
 
 def _cable(arm: ArmSettings, posture: Vector) -> Cable:

@@ -59,6 +59,8 @@ class ArmSample(NamedTuple):
     """Torques sent [N m]."""
     gain: Any = (1.0,)
     """Share of the loop's gain that the guard leaves [-]; 1 without one."""
+    clamped: Any = (0.0,)
+    """1 where a torque limit acted, else 0."""
 
 
 class Trouble(NamedTuple):
@@ -127,7 +129,7 @@ def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: Op
     met = cell.robot._replace(tissue=tissue._replace(stiffness=tissue.stiffness * now.softening))
     force, q, tip, state = robot.sense(chain, structure, met, carry.robot, now.heart, now.noise, ops)
     controller, command = force_control.step(controller_of(loop, cell), carry.controller, q, force, now.force_ref, ops)
-    passed, _ = torque_limits.limit(met.limits, command.torque.torque, state.pending[0], ops)
+    passed, clamped = torque_limits.limit(met.limits, command.torque.torque, state.pending[0], ops)
     controller = force_control.applied(controller, command, passed)
     sent = drive.send(met.drive, passed, ops)
     following = robot.move(chain, structure, met, state, sent, now.between, loop.accelerate, ops)
@@ -143,6 +145,7 @@ def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: Op
         state.q,
         sent,
         (gain,),
+        (clamped,),
     )
     return ArmCarry(controller, following, command.a), sample
 
