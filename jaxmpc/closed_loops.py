@@ -32,8 +32,8 @@ class ClosedLoops(NamedTuple):
     """(controllers, …)"""
     K2: Any
     """Damping, (controllers,) [1/s]."""
-    contacts: Contact | None
-    """(controllers, stiffness); the arm, which makes its own, needs none to run."""
+    contacts: Any
+    """A `Contact`, (controllers, stiffness); the arm, which makes its own, needs None to run."""
     residual: Any
     """Residual of the Riccati equation, (controllers,) [-]."""
 
@@ -78,7 +78,6 @@ def contacts_of(K2: Any, stiffness: Any, path: LoopPath) -> Contact:
 
 def margins_of(loops: ClosedLoops, *, ideal: bool) -> Margins:
     """Margins of every controller on every tissue, (controllers, stiffness); float64, traceable."""
-    assert loops.contacts is not None, "margins are those of the linear loop"
     rows, tissues = loops.contacts.stiffness.shape
     # One dimension of cells is traced twice as fast as two nested ones.
     cells = jax.tree.map(lambda leaf: leaf.reshape(rows * tissues), loops.contacts)

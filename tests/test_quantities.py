@@ -1,6 +1,7 @@
 """The table of quantities: nothing that is computed lacks a row, and no row lacks a reader."""
 
 from dataclasses import fields
+from pathlib import Path
 
 import jax.numpy as jnp
 import pytest
@@ -68,6 +69,11 @@ def test_metrics_and_margins_can_be_goals() -> None:
         better = {other: jnp.array([0.5]) for other in MARGINS} | {name: jnp.array([0.8 if row.ceiling else 1.25])}
         found = margin_goals(Margins(**better, status=jnp.zeros(1)), {name: 1.0})
         assert float(found.normalised[0, 0]) == pytest.approx(0.8)
+
+
+def test_goals_stand_in_the_manual() -> None:
+    manual = (Path(__file__).parents[1] / "docs" / "tuning.md").read_text(encoding="utf-8")
+    assert {name for name in {**METRICS, **MARGINS} if f"`{name}`" not in manual} == set()
 
 
 @pytest.mark.parametrize("name", MARGINS)

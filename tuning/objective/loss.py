@@ -96,7 +96,7 @@ def evaluate_goals(loops: ClosedLoops, data: Data, structure: ProblemStructure) 
     cells = cells_of(safe, data, structure)
     overshoot = overshoot_of(safe, data, structure) if OVERSHOOT in {*data.hard, *data.soft} else None
 
-    def goals(limits: Mapping[str, Any]) -> dict[str, Array]:
+    def goals(limits: Mapping[str, Any]) -> dict[str, Any]:
         wide = {name: jnp.reshape(limit, (-1, 1, 1, 1)) for name, limit in limits.items()}
         return run_goals(cells, data.reference, overshoot, wide)
 

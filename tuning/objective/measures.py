@@ -101,7 +101,7 @@ def following_rms(spectral: Metrics) -> Metrics:
 def overshoot_of(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> Float[Array, "starts stiffness"]:
     """How far the force of the linear loop exceeds a step of its reference, relative to the step; traceable."""
     quiet, one = jnp.zeros((1, STEP_SAMPLES)), jnp.ones((1, STEP_SAMPLES))
-    wanted = jnp.ones((1, STEP_SAMPLES, HP_MAX if structure.world.preview else 1))
+    wanted: Any = jnp.ones((1, STEP_SAMPLES, HP_MAX if structure.world.preview else 1))
     linear = structure.world._replace(engine="scan", robot=None)
     step = data.scene._replace(signals=AxisSignals(quiet, quiet, wanted, one), lsb=jnp.zeros(1))
     run = run_loops(loops, step, world=linear, dtype="float64")

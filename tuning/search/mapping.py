@@ -160,7 +160,7 @@ def _entered(measured: Measured, iteration: int, z: np.ndarray, values: Values, 
     new = Measured(z, np.where(held, values.loss, np.nan), factors)
 
     def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
-        first = round_ * len(z)
+        first = iteration * len(z)
         return np.concatenate([rows[:first], row, rows[first + len(z) :]])
 
     entered: Measured = jax.tree.map(put, measured, new)
