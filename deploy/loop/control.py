@@ -43,7 +43,7 @@ class Contacting:
     """[m]"""
 
 
-class Controller:
+class TaskController:
     """Wanted joint torques, cycle by cycle."""
 
     def __init__(

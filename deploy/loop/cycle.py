@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from deploy.bus.bus import Bus
 from deploy.controller.limits import Limits
-from deploy.loop.control import Controller
+from deploy.loop.control import TaskController
 from deploy.puck.frame import Frame
 from deploy.safety import machine
 from deploy.safety.checker import Checker, Strictness
@@ -90,7 +90,7 @@ class Cycle:
     def __init__(
         self,
         arm: WamArm,
-        controller: Controller,
+        controller: TaskController,
         limits: Limits,
         T_s: float,
         tool_length: float,

@@ -17,6 +17,7 @@ from deploy.safety.clamp import Clamp
 from deploy.safety.machine import HELD, OperatingState, SafetyState, Task
 from deploy.safety.reasons import Reason
 from deploy.wam.arm import Reading
+from deploy.wam.dialogue import Clock
 
 REPLIES = 0.7
 """Share of the period that replies are waited for; asking, computing and sending need the rest."""
@@ -28,18 +29,6 @@ IDLE_EVERY = 10
 """Cycles between two orders to idle."""
 STATES, REASONS = tuple(OperatingState), tuple(Reason)
 """What the recorder's numbers stand for."""
-
-
-class Clock(Protocol):
-    """Time [ns]."""
-
-    def now(self) -> int:
-        """Since some fixed moment."""
-        ...
-
-    def wait_until(self, deadline: int, /) -> None:
-        """Return then, or at once if that has passed."""
-        ...
 
 
 class Watching(Protocol):

@@ -17,14 +17,15 @@ from deploy.errors import CalibrationError
 from deploy.flight.recorder import FlightRecorder
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import IDENTITY, ForceSensor, Mounted, mean_force
-from deploy.loop.control import Contacting, Controller
+from deploy.loop.control import Contacting, TaskController
 from deploy.loop.cycle import Cycle, CycleResult, OperatorCommand
-from deploy.loop.loop import REASONS, STATES, Clock, Loop, RunResult, Watching
+from deploy.loop.loop import REASONS, STATES, Loop, RunResult, Watching
 from deploy.loop.statistics import Statistics
 from deploy.reference.sources import Source
 from deploy.safety.clamp import Clamp
 from deploy.safety.machine import SafetyState
 from deploy.wam.arm import WamArm
+from deploy.wam.dialogue import Clock
 from deploy.wam.startup import startup
 from deploy.wam.tip_pose import tip_kinematics
 from jaxmpc.files.errors import InputError
@@ -115,7 +116,7 @@ class Session:
             report("force sensor tared")
         ahead = len(artifact.gains.mpc_ref) if artifact.preview else 0
         stream = {"rate": options.rate, "largest": largest_wanted(artifact)}
-        self.controller = Controller(runtime, options.source, artifact.T_s, options.contacting, ahead, **stream)
+        self.controller = TaskController(runtime, options.source, artifact.T_s, options.contacting, ahead, **stream)
         self.cycle = Cycle(
             self.arm,
             self.controller,

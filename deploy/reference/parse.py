@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.reference.segments import Segments, check_size, from_table, from_words
-from deploy.reference.sources import Constant, Lines, Source, Table
+from deploy.reference.sources import ConstantForce, Lines, Source, Table
 from deploy.reference.stream import LARGEST, RATE
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.vectors import Vector3
@@ -44,7 +44,7 @@ def from_text(text: str, *, rate: float = RATE, largest: float = LARGEST, start:
         bound = "X,Y,Z [N], ramps:…, - for standard input, or an existing file"
         raise InputError("reference", text, bound, "For example 0,0,-5, or a CSV file with the columns t,x,y,z.")
     check_size((x, y, z), largest, "reference")
-    return Constant((x, y, z))
+    return ConstantForce((x, y, z))
 
 
 def toml_file(path: Path, *, rate: float, largest: float) -> Segments:

@@ -24,7 +24,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True)
-class Constant:
+class ConstantForce:
     """The same force for ever."""
 
     force: Vector3

@@ -20,7 +20,7 @@ class Clock(Protocol):
         """Time [ns]."""
         ...
 
-    def wait_until(self, deadline_ns: int) -> object:
+    def wait_until(self, deadline_ns: int, /) -> object:
         """Let time pass until then [ns]."""
         ...
 

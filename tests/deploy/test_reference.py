@@ -11,7 +11,7 @@ import pytest
 from deploy.reference import parse
 from deploy.reference.parse import from_text
 from deploy.reference.segments import from_table
-from deploy.reference.sources import Constant, Lines, Table
+from deploy.reference.sources import ConstantForce, Lines, Table
 from deploy.reference.stream import Stream
 from jaxmpc.files.errors import InputError
 
@@ -46,14 +46,14 @@ def test_garbage_can_neither_jump_nor_grow(seed):
 
 
 def test_a_constant_is_reached_at_its_rate_and_kept():
-    forces = run(Stream(Constant((3.0, 0.0, -4.0)), T_S, rate=2.0), 3000)
+    forces = run(Stream(ConstantForce((3.0, 0.0, -4.0)), T_S, rate=2.0), 3000)
     assert forces[1000] == pytest.approx((1.2, 0.0, -1.6), abs=1e-12)
     assert forces[2499] != (3.0, 0.0, -4.0)
     assert forces[2501:] == [(3.0, 0.0, -4.0)] * 499
 
 
 def test_missed_samples_are_followed_no_faster_than_three_at_once():
-    stream = Stream(Constant((0.0, 0.0, -5.0)), T_S, rate=2.0)
+    stream = Stream(ConstantForce((0.0, 0.0, -5.0)), T_S, rate=2.0)
     stream.at(0.0)
     before = stream.at(0.010)
     assert before[2] == pytest.approx(-3 * 0.002)
@@ -76,13 +76,13 @@ def test_preview_is_what_comes(ahead):
 
 
 def test_a_measured_start_that_is_no_number_becomes_zero():
-    assert Stream(Constant((0.0, 0.0, 0.0)), T_S, (math.nan, 0.0, 0.0)).at(0.0) == (0.0, 0.0, 0.0)
+    assert Stream(ConstantForce((0.0, 0.0, 0.0)), T_S, (math.nan, 0.0, 0.0)).at(0.0) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("limits", [{"rate": 0.0}, {"rate": math.inf}, {"largest": -1.0}, {"largest": math.nan}])
 def test_limits_must_limit(limits):
     with pytest.raises(InputError, match="positive and finite"):
-        Stream(Constant((0.0, 0.0, 0.0)), T_S, **limits)
+        Stream(ConstantForce((0.0, 0.0, 0.0)), T_S, **limits)
 
 
 def test_a_table_is_interpolated_and_held():
@@ -205,8 +205,8 @@ def test_wrong_words_are_refused(text, message):
 
 
 def test_a_constant_from_words():
-    assert from_text("0,0,-5") == Constant((0.0, 0.0, -5.0))
-    assert Constant((0.0, 0.0, -5.0)).notes() == []
+    assert from_text("0,0,-5") == ConstantForce((0.0, 0.0, -5.0))
+    assert ConstantForce((0.0, 0.0, -5.0)).notes() == []
 
 
 def write(tmp_path, text):
@@ -320,4 +320,4 @@ def test_an_endless_line_keeps_no_memory(pipe):
 
 def test_a_stream_says_what_its_source_says(pipe):
     assert Stream(pipe.lines, T_S).notes() == ["reference: 0 lines taken"]
-    assert isinstance(from_text("0,0,0"), Constant)
+    assert isinstance(from_text("0,0,0"), ConstantForce)

@@ -3,7 +3,7 @@
 from deploy.bus.bus import Bus
 from deploy.loop.cycle import CycleTiming, OperatorCommand
 from deploy.loop.session import Options, Session
-from deploy.reference.sources import Constant
+from deploy.reference.sources import ConstantForce
 from deploy.safety.machine import OperatingState, SafetyState, Task
 from deploy.safety.reasons import Reason
 from deploy.twin.lockstep import LockstepBus, LockstepClock
@@ -14,7 +14,7 @@ from tests.deploy.made import arm_artifact
 
 def test_a_checker_that_refuses_everything_lets_go_within_the_cycle(monkeypatch):
     clock = LockstepClock(Twin(TwinSettings(rhythm="none")))
-    options = Options(Constant((0.0, 0.0, -5.0)), turns=False, tare=False)
+    options = Options(ConstantForce((0.0, 0.0, -5.0)), turns=False, tare=False)
     session = Session(arm_artifact(), Bus(LockstepBus(clock), clock.now), clock, options, lambda sentence: None)
     cycle, arm = session.cycle, session.arm
     cycle.situation = SafetyState(OperatingState.ARMED)
