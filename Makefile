@@ -11,10 +11,10 @@ DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-oracles test-slow lint types robot-test bench pins clean
+.PHONY: help demo test test-oracles test-slow planted-faults lint types robot-test bench pins clean
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
 	@echo "Variables: PYTHON=python3.13 (to make the environment with), VENV=.venv (where it lies)"
 
@@ -29,6 +29,9 @@ test-oracles: $(DEV)  ## what proves physics, gradients and safety: minutes
 
 test-slow: $(DEV)  ## long statistics and whole jobs: half an hour
 	@$(PYTEST) -m "slow and not hardware"
+
+planted-faults: $(DEV)  ## plant eight faults in copies, each alone, and see which tests catch it: an hour
+	@$(VENV)/bin/python -m tests.planted_faults
 
 lint: $(DEV)  ## ruff: mistakes and format
 	@$(VENV)/bin/ruff check
