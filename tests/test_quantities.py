@@ -1,5 +1,6 @@
 """The table of quantities: nothing that is computed lacks a row, and no row lacks a reader."""
 
+from argparse import ArgumentParser
 from dataclasses import fields
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 from deploy.controller.margin_floor import check, plain_floor
 from jaxmpc import Experiment, Params
+from jaxmpc.cli.freeze import FLOOR_FLAGS, configure
 from jaxmpc.closed_loops import Outcome
 from jaxmpc.files.errors import InputError
 from jaxmpc.metrics import Metrics
@@ -74,6 +76,15 @@ def test_metrics_and_margins_can_be_goals() -> None:
 def test_goals_stand_in_the_manual() -> None:
     manual = (Path(__file__).parents[1] / "docs" / "tuning.md").read_text(encoding="utf-8")
     assert {name for name in {**METRICS, **MARGINS} if f"`{name}`" not in manual} == set()
+
+
+def test_every_margin_has_a_flag_of_freeze() -> None:
+    assert set(FLOOR_FLAGS) == set(MARGINS)
+    parser = ArgumentParser()
+    configure(parser)
+    floor = [word for flag in FLOOR_FLAGS.values() for word in (flag, "1.5")]
+    given = vars(parser.parse_args(["text", *floor]))
+    assert {name: given[name] for name in MARGINS} == dict.fromkeys(MARGINS, 1.5)
 
 
 @pytest.mark.parametrize("name", MARGINS)

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxmpc.quantities import MARGINS
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -15,6 +17,17 @@ if TYPE_CHECKING:
     from jaxmpc.synthesis.params import Params
     from jaxmpc.world.loop_path import LoopPath
 
+FLOOR_FLAGS = {
+    "M_s": "--max-ms",
+    "gain_margin_db": "--min-gain-db",
+    "gain_reduction_db": "--min-reduction-db",
+    "phase_margin_deg": "--min-phase-deg",
+    "delay_margin_s": "--min-delay-ms",
+    "spectral_radius": "--max-radius",
+}
+"""Flags of the margins that a controller may promise."""
+HIGHEST_M_S = 2.0
+"""Promised unless told otherwise [-]."""
 STIFFNESSES = 33
 """Between the softest and the hardest tissue, log-spaced, besides the experiment's own."""
 GOLDEN_FROM, GOLDEN_SAMPLES = 2.0, 256
@@ -36,11 +49,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--limits", type=Path, metavar="TOML", help="limits on the arm that differ from the default")
     parser.add_argument("--ideal", action="store_true", help="declare the margins of the ideal loop, not as it runs")
     floor = parser.add_argument_group("margin floor, held at every stiffness from softest to hardest")
-    floor.add_argument("--max-ms", type=float, default=2.0, metavar="M_S", help="highest peak sensitivity (2.0)")
-    floor.add_argument("--min-gain-db", type=float, metavar="DB", help="lowest gain margin upwards")
-    floor.add_argument("--min-reduction-db", type=float, metavar="DB", help="lowest gain margin downwards")
-    floor.add_argument("--min-phase-deg", type=float, metavar="DEG", help="lowest phase margin")
-    floor.add_argument("--min-delay-ms", type=float, metavar="MS", help="lowest delay margin")
+    for name, flag in FLOOR_FLAGS.items():
+        margin, default = MARGINS[name], HIGHEST_M_S if name == "M_s" else None
+        said = f"{'highest' if margin.ceiling else 'lowest'} {margin.heading}: {margin.text}"
+        said += "" if default is None else f" ({default})"
+        floor.add_argument(flag, dest=name, type=float, default=default, metavar="BOUND", help=said)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,14 +62,8 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
-    given = {
-        "M_s": args.max_ms,
-        "gain_margin_db": args.min_gain_db,
-        "gain_reduction_db": args.min_reduction_db,
-        "phase_margin_deg": args.min_phase_deg,
-        "delay_margin_s": None if args.min_delay_ms is None else 1e-3 * args.min_delay_ms,
-    }
-    floor = {name: value for name, value in given.items() if value is not None}
+    given = {name: getattr(args, name) for name in FLOOR_FLAGS}
+    floor = {name: value / MARGINS[name].times for name, value in given.items() if value is not None}
     params, experiment = params_from(args.params), experiment_from(args.experiment)
     artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal, limits=args.limits)
     loop = "ideal loop" if args.ideal else "loop as it runs"
