@@ -25,7 +25,7 @@ from jaxtyping import Array
 from benchmarks.rivals.objective import BATCH, evaluator, mpc_aob
 from benchmarks.rivals.room import shares, vectors
 from jaxmpc import Params
-from jaxmpc.experiment.tables import kind_of
+from jaxmpc.experiment.build import structure_of
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import write_atomic
 from jaxmpc.files.toml import write_toml
@@ -95,7 +95,7 @@ def room_of(cutoff: float, count: int) -> Room:
     evaluate, space = evaluator(problem, mpc_aob), spec.space
     job = Job((spec.params,), experiment, HARD)
     trials = [job.trial(i) for i in range(count)]
-    kind, robots = kind_of(trials[0].arm, trials[0].tissue), robots_of(trials)
+    kind, robots = structure_of(trials[0].arm, trials[0].tissue), robots_of(trials)
 
     @jax.jit
     def matrices(z: Array, robots: Robot) -> Array:

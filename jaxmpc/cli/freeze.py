@@ -171,7 +171,7 @@ def _rows(params: "Params", experiment: "Experiment", loop: "LoopPath") -> list[
 def nominal_arm(experiment: "Experiment", limits: Path | None) -> dict[str, Any]:
     """The controller's model of the experiment's arm, and the limits there: entries of `ArmModel` but its trace."""
     from deploy.controller.arm_model import ROBOT
-    from jaxmpc.experiment.tables import robot_of
+    from jaxmpc.experiment.build import robot_of
     from jaxmpc.world.arm import chain
 
     robot, arm = robot_of(experiment), chain()

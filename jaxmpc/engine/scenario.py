@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
 from jaxmpc.experiment import Experiment
-from jaxmpc.experiment.tables import kind_of, robot_of, softening
+from jaxmpc.experiment.build import robot_of, softening, structure_of
 from jaxmpc.loop.arm import ArmSignals
 from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.world.heart.motion import displacement
@@ -18,7 +18,7 @@ from jaxmpc.world.heart.motion import displacement
 def program_spec(experiment: Experiment) -> ProgramSpec:
     """The structure of an experiment."""
     on_arm = experiment.physics != "linear"
-    robot = kind_of(experiment.arm, experiment.tissue) if on_arm else None
+    robot = structure_of(experiment.arm, experiment.tissue) if on_arm else None
     engine = "mjx" if experiment.physics == "mjx" else "scan"
     return ProgramSpec(engine, experiment.reference.preview, robot)
 

@@ -9,31 +9,17 @@ import msgspec
 import numpy as np
 
 from jaxmpc.experiment.reference import Reference, wanted_force
-from jaxmpc.experiment.tables import ArmSettings, TissueSettings, force_filter
+from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import AXES, HP_MAX
+from jaxmpc.synthesis.force_filter import force_filter
 from jaxmpc.synthesis.params import Timing
-from jaxmpc.world.heart.bounds import Seconds, Seed, Size
+from jaxmpc.world.heart.bounds import Seconds
 from jaxmpc.world.heart.motion import Motion, displacement
 from jaxmpc.world.loop_path import LoopPath, loop_path
 
 Physics = Literal["linear", "wam", "mjx"]
 Stiffness = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
-
-
-class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The JR3 force sensor; zero switches an imperfection off."""
-
-    noise: Size = 0.010
-    """Standard deviation of white noise per sample [N] (prior; the maker publishes none)."""
-    lsb: tuple[Size, Size, Size] = (0.0061, 0.0061, 0.0122)
-    """Least significant bit per axis, 2¹⁴ counts on 100/100/200 N [N]."""
-    lowpass_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e4)] | None = None
-    """Cut-off of the built-in low-pass [Hz]; 0 is none. None is the JR3's fastest, 500, and none with ideal damping."""
-    kalman: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 0.0
-    """Change of the force rate per sample that a Kalman filter on the measured force assumes [N/s]; 0 is no filter.
-    Part of the controller, on the linear loop as on the arm."""
-    seed: Seed = 0
 
 
 class Signals(NamedTuple):

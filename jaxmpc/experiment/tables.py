@@ -1,34 +1,20 @@
-"""The tables [arm] and [tissue] of an experiment: which robot presses on what, and how imperfect both are.
+"""The tables [sensor], [tissue] and [arm] of an experiment: which robot presses on what, and how imperfect all are.
 
 The defaults are the nominal imperfect arm on the paper's elastic tissue. Every imperfection can be switched off by
 itself with a zero.
 """
 
-import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
-import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.law.computed_torque import Nominal
-from jaxmpc.law.force_filter import ForceFilter
-from jaxmpc.law.friction_compensation import NominalFriction
-from jaxmpc.law.measurement import Measurement, lowpass_pole
-from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.scalar import Vector
-from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.law.transmission import IPNM, MOTOR_TORQUE_LIMIT
-from jaxmpc.world import drive
-from jaxmpc.world.arm import TOOL_MASS, joint_ranges, link_inertias, posture_at, tip_at
-from jaxmpc.world.friction import Friction
-from jaxmpc.world.robot import Cable, Robot, RobotStructure
-from jaxmpc.world.sensor import SensorModel
-from jaxmpc.world.tissue import LAWS, Tissue
+from jaxmpc.world.arm import TOOL_MASS, joint_ranges, posture_at
+from jaxmpc.world.heart.bounds import Seed, Size
+from jaxmpc.world.tissue import LAWS
 from jaxmpc.world.tissue.base import TissueConstant
-
-if TYPE_CHECKING:
-    from jaxmpc.experiment.experiment import Experiment
 
 Angle = Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)]
 Metre = Annotated[float, msgspec.Meta(ge=-2.0, le=2.0)]
@@ -37,6 +23,21 @@ Kilogram = Annotated[float, msgspec.Meta(ge=-1.0, le=4.0)]
 Torque = Annotated[float, msgspec.Meta(ge=0.0, le=200.0)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 Torques = tuple[Torque, Torque, Torque, Torque]
+
+
+class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The JR3 force sensor; zero switches an imperfection off."""
+
+    noise: Size = 0.010
+    """Standard deviation of white noise per sample [N] (prior; the maker publishes none)."""
+    lsb: tuple[Size, Size, Size] = (0.0061, 0.0061, 0.0122)
+    """Least significant bit per axis, 2¹⁴ counts on 100/100/200 N [N]."""
+    lowpass_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e4)] | None = None
+    """Cut-off of the built-in low-pass [Hz]; 0 is none. None is the JR3's fastest, 500, and none with ideal damping."""
+    kalman: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 0.0
+    """Change of the force rate per sample that a Kalman filter on the measured force assumes [N/s]; 0 is no filter.
+    Part of the controller, on the linear loop as on the arm."""
+    seed: Seed = 0
 
 
 class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -156,93 +157,3 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.target is None:
             return tuple(map(float, self.posture))
         return posture_at(self.target, self.posture)
-
-
-def kind_of(arm: ArmSettings, tissue: TissueSettings) -> RobotStructure:
-    """What of the settings makes a program of its own."""
-    cable, tool_inertia = arm.cable_hz > 0.0, arm.beyond_sensor > 0.0
-    structure = cable, tool_inertia, arm.integrator, arm.substeps, arm.compensation > 0.0
-    return RobotStructure(tissue.kind, tissue.attached, *structure)
-
-
-def softening(tissue: TissueSettings, t: np.ndarray) -> np.ndarray:
-    """Factor on the stiffness over time, shape (steps,) [-]."""
-    factor = np.ones(len(t))
-    for change in tissue.changes:
-        s = np.clip((t - change.at) / change.duration, 0.0, 1.0) if change.duration else (t >= change.at) * 1.0
-        factor += (change.factor - factor) * s**2 * (3.0 - 2.0 * s)
-    return factor
-
-
-def robot_of(experiment: "Experiment") -> Robot:
-    """The constants of an experiment's world; the stiffness is left open."""
-    arm, tissue, sensor, T_s = experiment.arm, experiment.tissue, experiment.sensor, experiment.sampling_time
-    posture, path = arm.resting(), experiment.loop_path()
-    return Robot(
-        measurement=Measurement(T_s, lowpass_pole(path.velocity_cutoff, T_s, FLOATS)),
-        drive=drive.Drive(drive.angle_lsb(arm.encoder_counts), arm.torque_lsb),
-        limits=TorqueLimits(_most(arm.joint_torque_limit), _most(arm.torque_step_limit), arm.torque_limit),
-        friction=Friction(arm.coulomb, arm.presliding),
-        viscous=arm.viscous,
-        cable=_cable(arm, posture),
-        tool_mass=arm.tool_mass - TOOL_MASS,
-        sensor=SensorModel(lowpass_pole(path.sensor_cutoff, T_s, FLOATS), sensor.lsb, arm.beyond_sensor),
-        tissue=Tissue(0.0, tissue.constants),
-        nominal=Nominal(
-            1.0 + arm.mass_error,
-            arm.tool_mass_error,
-            NominalFriction(
-                tuple(arm.compensation * value for value in arm.nominal_coulomb or arm.coulomb),
-                tuple(arm.compensation * value for value in arm.nominal_viscous or arm.viscous),
-                arm.nominal_presliding or arm.presliding,
-            ),
-        ),
-        posture=posture,
-        touch=tuple(map(float, tip_at(posture))),
-        extra_delay=float(experiment.delay - 1),
-    )
-
-
-def robot_on_its_tissue(experiment: "Experiment") -> Robot:
-    """The same with the experiment's stiffness.
-
-    Raises:
-        InputError: The experiment has several.
-    """
-    if len(experiment.stiffness) != 1:
-        remedy = "Take one experiment per stiffness."
-        raise InputError("stiffness", list(experiment.stiffness), "one stiffness [N/m]", remedy)
-    robot = robot_of(experiment)
-    return robot._replace(tissue=robot.tissue._replace(stiffness=experiment.stiffness[0]))
-
-
-def force_filter(rate_change: float, noise: float, T_s: float) -> ForceFilter | None:
-    """Steady Kalman filter of a force with a slowly changing rate; None for a change of 0.
-
-    Args:
-        rate_change: Standard deviation of the rate's change per sample [N/s].
-        noise: Standard deviation of the measured force [N].
-        T_s: Sampling time [s].
-    """
-    from scipy.linalg import solve_discrete_are
-
-    if not rate_change:
-        return None
-    A, C = np.array([[1.0, T_s], [0.0, 1.0]]), np.array([[1.0, 0.0]])
-    R = max(noise, 1e-6) ** 2
-    P = solve_discrete_are(A.T, C.T, np.diag([0.0, rate_change**2]), np.array([[R]]))
-    force_gain, rate_gain = (P @ C.T / (C @ P @ C.T + R)).ravel().tolist()
-    return ForceFilter(T_s, force_gain, rate_gain)
-
-
-def _most(limits: Torques) -> Vector:
-    """Limits of the law, in which 0 is none [N m]."""
-    return tuple(limit or math.inf for limit in limits)
-
-
-def _cable(arm: ArmSettings, posture: Vector) -> Cable:
-    """Springs whose frequency against a locked motor, link by link in the posture, is `cable_hz`."""
-    omega = 2.0 * np.pi * arm.cable_hz
-    stiffness = omega**2 * link_inertias(posture)
-    damping = 2.0 * arm.cable_damping / max(omega, 1e-9) * stiffness
-    return Cable(tuple(stiffness.tolist()), tuple(damping.tolist()))

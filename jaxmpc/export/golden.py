@@ -10,7 +10,7 @@ from jaxmpc.closed_loops import evaluate_block
 from jaxmpc.engine.base import scalars
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
-from jaxmpc.experiment.tables import robot_of
+from jaxmpc.experiment.build import robot_of
 from jaxmpc.law import cascade, entry, force_control, torque_limits
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.force_control import Controller

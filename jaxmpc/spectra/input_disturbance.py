@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmpc.experiment import Experiment
-from jaxmpc.experiment.tables import robot_of
+from jaxmpc.experiment.build import robot_of
 from jaxmpc.law import friction_compensation
 from jaxmpc.law.chain import Chain, dynamics, mass_matrix, pose, tip, with_point_mass
 from jaxmpc.law.computed_torque import POSTURE_DAMPING, POSTURE_STIFFNESS

@@ -43,7 +43,7 @@ def presliding_frequencies(experiment: "Experiment") -> Float[np.ndarray, "3"]:
     Args:
         experiment: Its arm, in its resting posture.
     """
-    from jaxmpc.experiment.tables import robot_of
+    from jaxmpc.experiment.build import robot_of
     from jaxmpc.world.arm import chain
 
     robot = robot_of(experiment)

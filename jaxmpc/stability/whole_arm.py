@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxmpc.experiment import Experiment
-from jaxmpc.experiment.tables import kind_of, robot_on_its_tissue
+from jaxmpc.experiment.build import robot_on_its_tissue, structure_of
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
@@ -97,7 +97,7 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
     """
     if params.batch_shape:
         raise InputError("params", f"a batch {params.batch_shape}", "one controller", "Ask for one after another.")
-    programs = [(kind_of(e.arm, e.tissue), e.sampling_time, e.loop_path().force_filter) for e in experiments]
+    programs = [(structure_of(e.arm, e.tissue), e.sampling_time, e.loop_path().force_filter) for e in experiments]
     found = np.zeros(len(experiments), bool)
     for program in dict.fromkeys(programs):
         kind, T_s, force_filter = program

@@ -23,7 +23,8 @@ from jaxmpc.engine.linear_scan import record, run
 from jaxmpc.engine.scenario import scenario_data
 from jaxmpc.evaluation import evaluate
 from jaxmpc.experiment import Experiment
-from jaxmpc.experiment.tables import ArmSettings, robot_of
+from jaxmpc.experiment.build import robot_of
+from jaxmpc.experiment.tables import ArmSettings
 from jaxmpc.law import chain as arm
 from jaxmpc.law import computed_torque, friction_compensation
 from jaxmpc.law.scalar import apply, sub

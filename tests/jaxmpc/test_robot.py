@@ -12,9 +12,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jaxmpc import Experiment
-from jaxmpc.experiment.tables import ArmSettings, force_filter, robot_of
+from jaxmpc.experiment.build import robot_of
+from jaxmpc.experiment.tables import ArmSettings
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import Gains
+from jaxmpc.synthesis.force_filter import force_filter
 from jaxmpc.world import robot as world
 from jaxmpc.world.arm import chain, model, tip_at
 from jaxmpc.world.robot import HeartSample, RobotStructure

@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 
 from jaxmpc import Experiment, InputError, Params, design
-from jaxmpc.experiment.tables import kind_of, robot_on_its_tissue
+from jaxmpc.experiment.build import robot_on_its_tissue, structure_of
 from jaxmpc.law import cascade, force_control
 from jaxmpc.law import chain as arm
 from jaxmpc.law.cascade import Gains
@@ -32,7 +32,7 @@ def experiment(delay: int = 1, stiffness: tuple[float, ...] = (K_S,), **changes:
 
 
 def world_of(given: Experiment) -> tuple[RobotStructure, Robot]:
-    return kind_of(given.arm, given.tissue), robot_on_its_tissue(given)
+    return structure_of(given.arm, given.tissue), robot_on_its_tissue(given)
 
 
 @pytest.mark.parametrize(

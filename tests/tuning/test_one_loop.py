@@ -12,7 +12,7 @@ from deploy.controller.artifact import load
 from jaxmpc import Experiment, InputError, Margins, Params, evaluate, margins
 from jaxmpc.cli.freeze import freeze_controller
 from jaxmpc.closed_loops import close_loops
-from jaxmpc.experiment.experiment import SensorSettings
+from jaxmpc.experiment.tables import SensorSettings
 from tuning import TuneSpec
 from tuning.objective.measures import Data, judged_margins
 from tuning.objective.problem import problem_of, training

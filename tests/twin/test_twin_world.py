@@ -10,7 +10,7 @@ from deploy.twin.heart import TwinHeart
 from deploy.twin.settings import HOME, RHYTHMS, TwinSettings
 from deploy.twin.world import TORQUE_CONSTANT, WINDING, TwinPhysics
 from jaxmpc.experiment import Experiment
-from jaxmpc.experiment.tables import robot_of
+from jaxmpc.experiment.build import robot_of
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.chain import inverse_dynamics, pose, tip
 from jaxmpc.law.scalar import apply_transposed

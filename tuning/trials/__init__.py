@@ -20,7 +20,7 @@ import numpy as np
 
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
-from jaxmpc.experiment.tables import robot_on_its_tissue
+from jaxmpc.experiment.build import robot_on_its_tissue
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import SealError, digest, seal, unseal, write_atomic
 from jaxmpc.loop.arm import ArmSignals

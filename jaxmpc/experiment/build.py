@@ -1,0 +1,92 @@
+"""What an experiment's tables make: the structure of its robot, and the robot's constants."""
+
+import math
+
+import numpy as np
+
+from jaxmpc.experiment.experiment import Experiment
+from jaxmpc.experiment.tables import ArmSettings, TissueSettings, Torques
+from jaxmpc.files.errors import InputError
+from jaxmpc.law.computed_torque import Nominal
+from jaxmpc.law.friction_compensation import NominalFriction
+from jaxmpc.law.measurement import Measurement, lowpass_pole
+from jaxmpc.law.ops import FLOATS
+from jaxmpc.law.scalar import Vector
+from jaxmpc.law.torque_limits import TorqueLimits
+from jaxmpc.world import drive
+from jaxmpc.world.arm import TOOL_MASS, link_inertias, tip_at
+from jaxmpc.world.friction import Friction
+from jaxmpc.world.robot import Cable, Robot, RobotStructure
+from jaxmpc.world.sensor import SensorModel
+from jaxmpc.world.tissue import Tissue
+
+
+def structure_of(arm: ArmSettings, tissue: TissueSettings) -> RobotStructure:
+    """What of the settings makes a program of its own."""
+    cable, tool_inertia = arm.cable_hz > 0.0, arm.beyond_sensor > 0.0
+    structure = cable, tool_inertia, arm.integrator, arm.substeps, arm.compensation > 0.0
+    return RobotStructure(tissue.kind, tissue.attached, *structure)
+
+
+def softening(tissue: TissueSettings, t: np.ndarray) -> np.ndarray:
+    """Factor on the stiffness over time, shape (steps,) [-]."""
+    factor = np.ones(len(t))
+    for change in tissue.changes:
+        s = np.clip((t - change.at) / change.duration, 0.0, 1.0) if change.duration else (t >= change.at) * 1.0
+        factor += (change.factor - factor) * s**2 * (3.0 - 2.0 * s)
+    return factor
+
+
+def robot_of(experiment: Experiment) -> Robot:
+    """The constants of an experiment's world; the stiffness is left open."""
+    arm, tissue, sensor, T_s = experiment.arm, experiment.tissue, experiment.sensor, experiment.sampling_time
+    posture, path = arm.resting(), experiment.loop_path()
+    return Robot(
+        measurement=Measurement(T_s, lowpass_pole(path.velocity_cutoff, T_s, FLOATS)),
+        drive=drive.Drive(drive.angle_lsb(arm.encoder_counts), arm.torque_lsb),
+        limits=TorqueLimits(_most(arm.joint_torque_limit), _most(arm.torque_step_limit), arm.torque_limit),
+        friction=Friction(arm.coulomb, arm.presliding),
+        viscous=arm.viscous,
+        cable=_cable(arm, posture),
+        tool_mass=arm.tool_mass - TOOL_MASS,
+        sensor=SensorModel(lowpass_pole(path.sensor_cutoff, T_s, FLOATS), sensor.lsb, arm.beyond_sensor),
+        tissue=Tissue(0.0, tissue.constants),
+        nominal=Nominal(
+            1.0 + arm.mass_error,
+            arm.tool_mass_error,
+            NominalFriction(
+                tuple(arm.compensation * value for value in arm.nominal_coulomb or arm.coulomb),
+                tuple(arm.compensation * value for value in arm.nominal_viscous or arm.viscous),
+                arm.nominal_presliding or arm.presliding,
+            ),
+        ),
+        posture=posture,
+        touch=tuple(map(float, tip_at(posture))),
+        extra_delay=float(experiment.delay - 1),
+    )
+
+
+def robot_on_its_tissue(experiment: Experiment) -> Robot:
+    """The same with the experiment's stiffness.
+
+    Raises:
+        InputError: The experiment has several.
+    """
+    if len(experiment.stiffness) != 1:
+        remedy = "Take one experiment per stiffness."
+        raise InputError("stiffness", list(experiment.stiffness), "one stiffness [N/m]", remedy)
+    robot = robot_of(experiment)
+    return robot._replace(tissue=robot.tissue._replace(stiffness=experiment.stiffness[0]))
+
+
+def _most(limits: Torques) -> Vector:
+    """Limits of the law, in which 0 is none [N m]."""
+    return tuple(limit or math.inf for limit in limits)
+
+
+def _cable(arm: ArmSettings, posture: Vector) -> Cable:
+    """Springs whose frequency against a locked motor, link by link in the posture, is `cable_hz`."""
+    omega = 2.0 * np.pi * arm.cable_hz
+    stiffness = omega**2 * link_inertias(posture)
+    damping = 2.0 * arm.cable_damping / max(omega, 1e-9) * stiffness
+    return Cable(tuple(stiffness.tolist()), tuple(damping.tolist()))
