@@ -28,7 +28,7 @@ LOST = 1e3
 """Loss of a controller whose runs left the finite numbers [-]."""
 
 
-class Seen(NamedTuple):
+class ObjectiveValues(NamedTuple):
     """What the objective says of controllers, each (controllers,)."""
 
     loss: Any
@@ -39,7 +39,7 @@ class Seen(NamedTuple):
     """Largest normalised hard goal [-]; met at 1 and below."""
 
 
-def evaluator(problem: Problem, law: Law, rows: int = BATCH) -> Callable[[np.ndarray], Seen]:
+def evaluator(problem: Problem, law: Law, rows: int = BATCH) -> Callable[[np.ndarray], ObjectiveValues]:
     """The objective of any number of unconstrained vectors (n, size), so many at a time on all devices.
 
     Args:
@@ -50,29 +50,29 @@ def evaluator(problem: Problem, law: Law, rows: int = BATCH) -> Callable[[np.nda
     program, devices = _program(problem.structure, law)
     rows = -(-rows // devices) * devices
 
-    def evaluate(z: np.ndarray) -> Seen:
+    def evaluate(z: np.ndarray) -> ObjectiveValues:
         parts = []
         for first in range(0, len(z), rows):
             part = z[np.minimum(np.arange(first, first + rows), len(z) - 1)]
             parts.append(jax.tree.map(np.asarray, program(part, problem.data)))
-        found: Seen = jax.tree.map(lambda *fields: np.concatenate(fields)[: len(z)], *parts)
+        found: ObjectiveValues = jax.tree.map(lambda *fields: np.concatenate(fields)[: len(z)], *parts)
         return found._replace(loss=np.nan_to_num(found.loss, nan=LOST, posinf=LOST))
 
     return evaluate
 
 
 @cache
-def _program(structure: ProblemStructure, law: Law) -> tuple[Callable[..., Seen], int]:
+def _program(structure: ProblemStructure, law: Law) -> tuple[Callable[..., ObjectiveValues], int]:
     """Compiled once per structure and law, and on how many devices it runs."""
     spec: Any = PartitionSpec
 
-    def on_device(z: Array, data: Data) -> Seen:
+    def on_device(z: Array, data: Data) -> ObjectiveValues:
         return judged(law(z, data, structure), data, structure)
 
     mesh = Mesh(np.array(jax.local_devices()), ("device",))
     split = spec("device")
     mapped = jax.shard_map(on_device, mesh=mesh, in_specs=(split, spec()), out_specs=split, check_vma=False)
-    program: Callable[..., Seen] = jax.jit(mapped)
+    program: Callable[..., ObjectiveValues] = jax.jit(mapped)
     return program, mesh.size
 
 
@@ -91,8 +91,9 @@ def pi_control(z: Array, data: Data, structure: ProblemStructure) -> ClosedLoops
     return ClosedLoops(gains, found.K2, contacts, jnp.zeros_like(found.K2))
 
 
-def judged(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> Seen:
+def judged(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> ObjectiveValues:
     """Loss of closed loops, as the tuner has it; traceable."""
     found = evaluate_goals(loops, data, structure)
     worst = jnp.max(jnp.stack([jnp.max(found.margins.normalised, axis=(1, 2), initial=0.0), *found.hard]), axis=0)
-    return Seen(found.loss, jnp.where(found.stable, found.risk, jnp.nan), jnp.where(found.stable, worst, jnp.inf))
+    score, hard = jnp.where(found.stable, found.risk, jnp.nan), jnp.where(found.stable, worst, jnp.inf)
+    return ObjectiveValues(found.loss, score, hard)

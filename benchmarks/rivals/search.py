@@ -9,7 +9,7 @@ import numpy as np
 from cmaes import CMA
 from jaxtyping import Float
 
-from benchmarks.rivals.objective import BATCH, Seen
+from benchmarks.rivals.objective import BATCH, ObjectiveValues
 from benchmarks.rivals.record import Clock, Run
 from benchmarks.rivals.room import shares, vectors
 from tuning.job.space import EDGE, FreeParameter
@@ -117,7 +117,7 @@ TUNERS: dict[str, Callable[[int, int], Tuner]] = {"random": Random, "TPE": Tpe, 
 def search(
     tuner: Tuner,
     axes: tuple[FreeParameter, ...],
-    evaluate: Callable[[np.ndarray], Seen],
+    evaluate: Callable[[np.ndarray], ObjectiveValues],
     starts: np.ndarray,
     budget: int,
     steps: int,
