@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.reference.segments import Segments, check_size, from_table, from_words
-from deploy.reference.sources import ConstantForce, Lines, Source, Table
+from deploy.reference.sources import ConstantForce, ForceTable, Lines, Source
 from deploy.reference.stream import LARGEST, RATE
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.vectors import Vector3
@@ -65,7 +65,7 @@ def toml_file(path: Path, *, rate: float, largest: float) -> Segments:
         raise error.at(path) from None
 
 
-def csv_file(path: Path, *, rate: float, largest: float) -> Table:
+def csv_file(path: Path, *, rate: float, largest: float) -> ForceTable:
     """Rows `t,x,y,z` [s], [N] below a line that names these columns.
 
     Raises:
@@ -102,7 +102,7 @@ def csv_file(path: Path, *, rate: float, largest: float) -> Table:
         forces.append((x, y, z))
     if not times:
         raise InputError("rows", 0, "at least one", "A single row is a constant force.").at(path)
-    return Table(times, forces, path.name)
+    return ForceTable(times, forces, path.name)
 
 
 def _text_of(path: Path) -> str:

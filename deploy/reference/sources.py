@@ -38,7 +38,7 @@ class ConstantForce:
         return []
 
 
-class Table:
+class ForceTable:
     """Force at given times, straight lines between them; before the first and after the last it is held."""
 
     def __init__(self, times: Sequence[float], forces: Sequence[Vector3], name: str = "reference") -> None:

@@ -11,7 +11,7 @@ import pytest
 from deploy.reference import parse
 from deploy.reference.parse import from_text
 from deploy.reference.segments import from_table
-from deploy.reference.sources import ConstantForce, Lines, Table
+from deploy.reference.sources import ConstantForce, ForceTable, Lines
 from deploy.reference.stream import Stream
 from jaxmpc.files.errors import InputError
 
@@ -65,7 +65,7 @@ def test_missed_samples_are_followed_no_faster_than_three_at_once():
 
 @pytest.mark.parametrize("ahead", [1, 5, 64])
 def test_preview_is_what_comes(ahead):
-    table = Table([0.0, 0.1, 0.2, 0.3], [(0.0, 0.0, 0.0), (0.1, 0.0, -0.4), (0.0, 0.2, -0.1), (0.0, 0.0, 0.0)])
+    table = ForceTable([0.0, 0.1, 0.2, 0.3], [(0.0, 0.0, 0.0), (0.1, 0.0, -0.4), (0.0, 0.2, -0.1), (0.0, 0.0, 0.0)])
     seen = run(Stream(table, T_S, rate=100.0, ahead=ahead), 400)
     plain = Stream(table, T_S, rate=100.0)
     came = run(plain, 400 + ahead)
@@ -86,7 +86,7 @@ def test_limits_must_limit(limits):
 
 
 def test_a_table_is_interpolated_and_held():
-    table = Table([1.0, 2.0, 4.0], [(0.0, 0.0, -1.0), (1.0, 0.0, -3.0), (0.0, 2.0, -3.0)], "f.csv")
+    table = ForceTable([1.0, 2.0, 4.0], [(0.0, 0.0, -1.0), (1.0, 0.0, -3.0), (0.0, 2.0, -3.0)], "f.csv")
     assert table.notes() == []
     asked = [0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 9.0, 1.5]
     wanted = [(0, 0, -1), (0, 0, -1), (0.5, 0, -2), (1, 0, -3), (0.5, 1, -3), (0, 2, -3), (0, 2, -3), (0.5, 0, -2)]
