@@ -80,9 +80,10 @@ def transition_matrix(
     """
     flat, restore = jax.flatten_util.ravel_pytree((controller, state))
 
-    def active(axis: AxisState) -> AxisState:
+    def active(part: Any) -> Any:
         # An active state without gain (MPC alone) stays at its start, zero: it is no mode of the loop.
-        return axis._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, axis.p_hat))
+        axis = isinstance(part, AxisState)
+        return part._replace(p_hat=jnp.where(gains.K[3] == 0.0, 0.0, part.p_hat)) if axis else part
 
     def following(vector: Array) -> Array:
         controller, state = restore(vector)

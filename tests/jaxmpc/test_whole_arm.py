@@ -10,19 +10,17 @@ import scipy.linalg
 
 from jaxmpc import Experiment, InputError, Params, design
 from jaxmpc.experiment.build import robot_on_its_tissue, structure_of
-from jaxmpc.law import cascade, force_control
+from jaxmpc.law import cascade
 from jaxmpc.law import chain as arm
-from jaxmpc.law.cascade import Gains
-from jaxmpc.law.force_control import Controller
+from jaxmpc.loop.arm import ArmCarry, ArmLoop, ArmSignals, Cell, advance, start
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.whole_arm import lost, radii, robots_of, whole_arm_matrix
-from jaxmpc.world import drive
-from jaxmpc.world import robot as world
 from jaxmpc.world.arm import chain
-from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure, accelerate
 from tuning import trials
 
 T_S, K_S = 1e-3, 810.0
+STILL = HeartSample((0.0,) * 3, (0.0,) * 3)
 
 
 def experiment(delay: int = 1, stiffness: tuple[float, ...] = (K_S,), **changes: Any) -> Experiment:
@@ -61,28 +59,14 @@ def test_a_heavy_perfect_arm_is_the_axis_three_times(params: Params, delay: int,
     np.testing.assert_array_less(third, tolerance)
 
 
-def controller_of(robot: Robot, gains: Gains, K2: float) -> Controller:
-    return Controller(chain(), robot.nominal, robot.posture, gains, K2, robot.measurement)
+QUIET = ArmSignals(STILL, (STILL,), (0.0,) * 3, ((0.0,),) * 3, (1.0,) * 3, 1.0, 0.0, 0.0)
 
 
-def at_rest(controller: Controller, kind: RobotStructure, robot: Robot) -> tuple[np.ndarray, Any]:
-    """The loop's state as numbers, and the structure that they have."""
-    state = world.init(chain(), kind, robot, 0.0, np)
-    held = force_control.init(controller, world.encoders(kind, robot, state, np), (0.0,) * 3)
-    leaves, structure = jax.tree.flatten((held, state))
+def at_rest(loop: ArmLoop, cell: Cell) -> tuple[np.ndarray, Any]:
+    """The state of law and arm as numbers, and the structure that they have."""
+    carry = start(loop, cell, np)
+    leaves, structure = jax.tree.flatten((carry.controller, carry.robot))
     return np.array(leaves, float), structure
-
-
-def one_sample(kind: RobotStructure, robot: Robot, gains: Gains, K2: float, state: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Law and world in numpy, put together here once more."""
-    controller, state_of_world = state
-    heart = HeartSample((0.0,) * 3, (0.0,) * 3)
-    force, q, _, seen = world.sense(chain(), kind, robot, state_of_world, heart, (0.0,) * 3, np)
-    wanted = ((0.0,),) * 3
-    controller, command = force_control.step(controller_of(robot, gains, K2), controller, q, force, wanted, np)
-    sent = drive.send(robot.drive, command.torque.torque, np)
-    controller = force_control.applied(controller, command, command.torque.torque)
-    return controller, world.move(chain(), kind, robot, seen, sent, [heart], world.accelerate, np)
 
 
 def test_it_is_the_slope_of_one_sample() -> None:
@@ -93,10 +77,13 @@ def test_it_is_the_slope_of_one_sample() -> None:
     smooth = msgspec.structs.replace(smooth, sensor=msgspec.structs.replace(smooth.sensor, lsb=(0.0,) * 3))
     kind, robot = world_of(smooth)
     gains = jax.tree.map(np.asarray, cascade.constant_reference(design(Params())))
-    rest, structure = at_rest(controller_of(robot, gains, 20.0), kind, robot)
+    loop, cell = ArmLoop(chain(), kind, accelerate), Cell(gains, 20.0, robot)
+    rest, structure = at_rest(loop, cell)
     n, step = len(rest), 1e-5
     shifted = rest[:, None] + step * np.hstack([np.eye(n), -np.eye(n)])
-    following = jax.tree.leaves(one_sample(kind, robot, gains, 20.0, jax.tree.unflatten(structure, list(shifted))))
+    begun = ArmCarry(*jax.tree.unflatten(structure, list(shifted)), (0.0,) * 3)
+    after, _ = advance(loop, cell, begun, QUIET, np)
+    following = jax.tree.leaves((after.controller, after.robot))
     above, below = np.split(np.stack([np.broadcast_to(row, 2 * n) for row in following]), 2, axis=1)
     found = np.asarray(whole_arm_matrix(chain(), kind, world_of(given)[1], gains, 20.0))
     # The bristles, which move nothing here, are left out of it.
@@ -114,7 +101,7 @@ def test_free_modes_are_those_of_masses_and_springs() -> None:
     links = chain()._replace(gravity=(0.0, 0.0, 0.0))
     gains = design(Params())
     matrix = np.asarray(whole_arm_matrix(links, kind, robot, gains, 10.0))
-    rest, structure = at_rest(links, kind, robot)
+    rest, structure = at_rest(ArmLoop(links, kind, accelerate), Cell(gains, 10.0, robot))
     numbered = jax.tree.unflatten(structure, range(len(rest)))[1]
     bodies = np.array(jax.tree.leaves((numbered.q, numbered.qd, numbered.motor)))
     eigenvalues = np.linalg.eigvals(matrix[np.ix_(bodies, bodies)])
