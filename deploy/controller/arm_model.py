@@ -14,6 +14,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.law.chain import Chain, Link, mass_matrix, pose, tip
 from jaxmpc.law.computed_torque import Nominal
 from jaxmpc.law.friction_compensation import NominalFriction
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.scalar import Vector
 
 ROBOT = "Barrett WAM 4-DoF"
@@ -104,7 +105,7 @@ class ArmModel:
     def _check_robot(self) -> None:
         """The geometry is the named robot's, and its mass matrix can be one."""
         for q in (self.posture, (0.3, -0.7, 0.5, 1.9)):
-            at = pose(self.chain, q, math)
+            at = pose(self.chain, q, FLOATS)
             miss = float(np.linalg.norm(np.subtract(tip(self.chain, at).position, published_tip(q, self.tool_length))))
             if not miss <= 1e-6:
                 bound = f"that of a {ROBOT} with a tool of {self.tool_length:g} m"
@@ -125,7 +126,7 @@ class ArmModel:
             if most > limits.joint_torque[i]:
                 bound = f"at most {limits.joint_torque[i]:g} N m, its limit"
                 raise InputError(f"golden_torque of J{i + 1}", f"{most:.3g} N m", bound, remedy)
-        at = tip(self.chain, pose(self.chain, self.posture, math)).position
+        at = tip(self.chain, pose(self.chain, self.posture, FLOATS)).position
         for name, x, (low, high) in zip("xyz", at, limits.workspace, strict=True):
             if not low <= x <= high:
                 raise InputError(f"tip at arm.posture, {name}", f"{x:.4g} m", f"in [{low:g}, {high:g}] m", remedy)

@@ -22,8 +22,8 @@ from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 
-LIMITED_ABOVE = 0.9
-"""Quantile of the changes of a joint's torque above which the golden trace limits them [-]."""
+LIMITED_ABOVE = 0.95
+"""Quantile of a joint's torques above which the golden trace limits them [-]."""
 
 
 class ArmRun(NamedTuple):
@@ -117,7 +117,7 @@ def law_trace(gains: Gains, force: np.ndarray, force_ref: np.ndarray, preview: b
 def arm_law_trace(gains: Gains, K2: float, experiment: Experiment, run: ArmRun) -> ArmAnswer:
     """Answers of the JAX-traced law of the whole tick to a recorded run, entered in contact at its first sample.
 
-    So that the trace tells what the observers are told, the limits are so tight that they act every few samples.
+    So that the trace tells what the observers are told, the limits are so tight that they act now and then.
 
     Args:
         gains: One controller.
@@ -132,8 +132,8 @@ def arm_law_trace(gains: Gains, K2: float, experiment: Experiment, run: ArmRun) 
     wanted = run.force_ref if preview else run.force_ref[:, :, None]
     inputs = run.q, run.force, wanted
     free = _arm_law(controller, robot.limits, inputs, compensated=compensated)
-    steps = np.quantile(np.abs(np.diff(free.torque, axis=0)), LIMITED_ABOVE, axis=0)
-    tight = robot.limits._replace(step=tuple(steps.tolist()))
+    most = np.quantile(np.abs(free.torque), LIMITED_ABOVE, axis=0)
+    tight = robot.limits._replace(torque=tuple(most.tolist()))
     return ArmAnswer(*map(np.asarray, _arm_law(controller, tight, inputs, compensated=compensated)))
 
 
@@ -144,7 +144,8 @@ def _arm_law_trace(controller: Controller, limits: TorqueLimits, inputs: Any, co
         state, command = force_control.step(controller, state, tuple(q), tuple(force), tuple(map(tuple, wanted)), ops)
         passed, _ = torque_limits.limit(limits, command.torque.torque, last, ops)
         state = force_control.applied(state, command, passed)
-        return (state, passed), ArmAnswer(*map(jnp.stack, (command.v, command.torque.torque, passed)))
+        stacked: Any = map(jnp.stack, (command.v, command.torque.torque, passed))
+        return (state, passed), ArmAnswer(*stacked)
 
     q, force, wanted = (tuple(signal[0]) for signal in inputs)
     at_rest = force_control.init(controller, q, force, compensated)

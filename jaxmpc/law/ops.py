@@ -44,8 +44,12 @@ class Ops(Protocol):
 class _Floats:
     """The functions on Python's own numbers; an exponential that would overflow is held at e⁵⁰."""
 
-    sin, cos, sqrt, floor = staticmethod(math.sin), staticmethod(math.cos), staticmethod(math.sqrt), math.floor
+    sin, cos, sqrt = staticmethod(math.sin), staticmethod(math.cos), staticmethod(math.sqrt)
     minimum, maximum = staticmethod(min), staticmethod(max)
+
+    @staticmethod
+    def floor(value: float) -> float:
+        return math.floor(value)
 
     @staticmethod
     def exp(value: float) -> float:

@@ -1,0 +1,38 @@
+"""A controller that filters the measured force: judged, frozen and flown as one loop."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from deploy.safety.reasons import Reason
+from jaxmpc import Experiment, Params, evaluate, margins
+from jaxmpc.cli.freeze import freeze_controller
+from tests.twin.flying import fly
+
+TABLE = Experiment.published("table-1-wam")
+FILTERED = msgspec.structs.replace(
+    TABLE, stiffness=(810.0,), duration=15.0, sensor=msgspec.structs.replace(TABLE.sensor, kalman=1.0)
+)
+"""So slow a filter that it takes the text design's M_s from 1.67 to 2.39."""
+
+
+@pytest.mark.oracle
+def test_a_frozen_force_filter_flies_as_it_is_simulated(tmp_path):
+    params = Params.published("text")
+    frozen = freeze_controller(tmp_path / "c.npz", params, FILTERED, {"M_s": 5.0}, ideal=False)
+    path = FILTERED.loop_path()
+    assert frozen.gains.force_filter == path.force_filter
+    assert (frozen.loop.velocity_cutoff, frozen.loop.sensor_cutoff) == (path.velocity_cutoff, path.sensor_cutoff)
+
+    simulated = evaluate(params, FILTERED)
+    (row,) = frozen.margins
+    assert row["M_s"] == pytest.approx(float(margins(params, 810.0, path=path).M_s), rel=1e-9)
+    assert row["M_s"] == pytest.approx(float(simulated.margins.M_s[0]), rel=1e-9)
+    assert row["M_s"] > 1.3 * float(margins(params, 810.0, path=TABLE.loop_path()).M_s)
+
+    flight = fly(frozen, stiffness=810.0, seconds=15.0, start=3.5, gap=0.012)
+    assert flight.reason is Reason.FINISHED
+    np.testing.assert_allclose(flight.residual(5.0), np.asarray(simulated.metrics.rms)[0], rtol=0.05)
+    # Without the filter the robot would do otherwise.
+    plain = evaluate(params, msgspec.structs.replace(FILTERED, sensor=TABLE.sensor)).metrics.rms[0]
+    assert np.max(np.abs(np.asarray(plain) / flight.residual(5.0) - 1.0)) > 0.05
