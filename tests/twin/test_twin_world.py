@@ -60,7 +60,7 @@ def assert_new(truth, settings):
 def test_the_world_is_the_simulators(kind, steps):
     """Under the same torques, pressing and pulling, heart moving: only rounding, some 1e-16 a step, parts them."""
     of = robot_of(Experiment.published("table-1-wam"))
-    of = of._replace(tissue=of.tissue._replace(stiffness=810.0), sensor=of.sensor._replace(lsb=(0.0,) * 3))
+    of = of._replace(tissue=of.tissue._replace(stiffness=810.0), sensor=of.sensor._replace(pole=0.0, lsb=(0.0,) * 3))
     structure = robot.RobotStructure(kind, integrator="euler")
     state = robot.init(chain(), structure, of, 0.0, FLOATS)
     # The torque of the last sample is given to a twin that takes it at once.
