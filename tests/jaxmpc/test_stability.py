@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from jaxmpc import InputError, Params, Status, design, margins
+from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.stability.crossings import loop_margins
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
-from jaxmpc.stability.response import loop_response
+from jaxmpc.stability.response import filter_response, loop_response
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.contact import hertz
 from jaxmpc.world.loop_path import loop_path
@@ -203,6 +204,40 @@ def test_closed_form_response_is_that_of_the_independent_loop(
         expected = (C @ np.linalg.solve(z * np.eye(len(A)) - A, B[:, 1]) + D[:, 1])[0]
         ours = 1.0 / (1.0 + loop_response(gains, contact, jnp.float64(omega * T_S), 0.0))
         np.testing.assert_allclose(complex(ours), expected, rtol=1e-8)
+
+
+FILTERED = loop_path(force_filter=ForceFilter(T_S, 0.3, 40.0))
+
+
+def test_filter_of_the_force_is_that_of_python_control() -> None:
+    """Constant rate, corrected by the innovation; at once, so the output is that after the correction."""
+    T_s, K_y, K_r = FILTERED.force_filter
+    predict, K = np.array([[1.0, T_s], [0.0, 1.0]]), np.array([[K_y], [K_r]])
+    A = (np.eye(2) - K @ [[1.0, 0.0]]) @ predict
+    system = control.ss(A, K, A[:1], K[:1], T_s)
+    theta = np.array([1e-3, 0.03, 0.4, 3.0])
+    found = filter_response(FILTERED.force_filter, jnp.exp(-1j * theta))
+    np.testing.assert_allclose(found, system(np.exp(1j * theta)), rtol=1e-9)
+
+
+@pytest.mark.parametrize("K_s", [375.0, 1900.0])
+def test_margins_with_a_filter_of_the_force_are_the_gains_that_the_law_bears(K_s: float) -> None:
+    """Cut at a, the gain of both hold integrals is that of the whole loop; the matrix is the running law's own."""
+    params = Params.published("cautious")
+    gains = design(params, force_filter=FILTERED.force_filter)
+    contact = contact_of(K_s, params.K2, FILTERED)
+
+    @jax.jit
+    def found(cut: float) -> Any:
+        return loop_margins(*[lambda theta, late=None: loop_response(gains, contact, theta, cut, late)] * 2, T_S)
+
+    at_a = found(1.0)
+    for decibels in (float(at_a.gain_margin_db), -float(at_a.gain_reduction_db)):
+        scaled = contact._replace(gamma=tuple(10.0 ** (decibels / 20.0) * each for each in contact.gamma))
+        assert radius(np.asarray(closed_loop_matrix(gains, scaled))) == pytest.approx(1.0, abs=1e-6)
+    judged = margins(params, K_s, path=FILTERED)
+    assert float(judged.M_s) == pytest.approx(max(float(at_a.M_s), float(found(0.0).M_s)), rel=1e-9)
+    assert float(judged.M_s) > 1.05 * float(margins(params, K_s).M_s)
 
 
 NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from deploy.controller.artifact import load
+from deploy.controller.file import load
 from jaxmpc import Experiment, InputError, Margins, Params, evaluate, margins
 from jaxmpc.cli.freeze import freeze_controller
 from jaxmpc.closed_loops import close_loops
@@ -20,14 +20,16 @@ from tuning.objective.problem import problem_of, training
 STIFFNESS = (375.0, 810.0)
 EXPERIMENT = {"damping": "sampled", "stiffness": list(STIFFNESS), "duration": 3.5, "settle": 3.0, "delay": 2}
 SLOW_FILTERS = {"velocity_lowpass": 300.0, "sensor": {"lowpass_hz": 120.0}}
+FORCE_FILTER = {"sensor": {"kalman": 20.0}}
 
 
-@pytest.mark.parametrize("filters", [{}, SLOW_FILTERS], ids=["default", "slower"])
+@pytest.mark.parametrize("filters", [{}, SLOW_FILTERS, FORCE_FILTER], ids=["default", "slower", "force filter"])
 def test_everybody_judges_one_loop(
     small: Callable[..., dict[str, Any]], tmp_path: Path, filters: dict[str, Any]
 ) -> None:
     experiment, params = Experiment.from_dict({**EXPERIMENT, **filters}), Params.published("cautious")
     found = np.asarray(margins(params, STIFFNESS, path=experiment.loop_path()).M_s)
+    assert (np.abs(found / np.asarray(margins(params, STIFFNESS, delay=2).M_s) - 1.0) > 5e-4).any() == bool(filters)
 
     evaluated = np.asarray(evaluate(params, experiment).margins.M_s)
     job = small(experiment={**EXPERIMENT, **filters}, tune={"duration": 3.5, "settle": 3.0}, goals={"ideal": False})
