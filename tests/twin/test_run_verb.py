@@ -4,7 +4,7 @@ from deploy.controller.artifact import Artifact
 from deploy.controller.file import to_bytes
 from jaxmpc.cli import main
 from tests.deploy.conftest import trace
-from tests.deploy.made import arm_artifact, margin_row, text_gains
+from tests.deploy.made import LOOP, arm_artifact, margin_row, text_gains
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_wrong_arguments_exit_2_with_a_sentence(fly, flags, words):
 def test_a_linear_controller_only_replays(tmp_path, capsys):
     gains, row = text_gains(), margin_row(810.0)
     golden = trace(gains, 40, False)
-    linear = Artifact(gains, 1e-3, 10.0, False, {"lam": 0.1}, [row], {"M_s": 2.0}, {"made": "here"}, *golden)
+    linear = Artifact(gains, 1e-3, 10.0, False, LOOP, {"lam": 0.1}, [row], {"M_s": 2.0}, {"made": "here"}, *golden)
     path = tmp_path / "linear.npz"
     path.write_bytes(to_bytes(linear))
     assert main(["run", str(path), "--lockstep"]) == 2
