@@ -32,18 +32,11 @@ from jaxmpc.law.scalar import (
     times,
 )
 from jaxmpc.law.torque_limits import TorqueLimits
+from jaxmpc.world import drive, friction, sensor, tissue
 from jaxmpc.world.drive import Drive
-from jaxmpc.world.drive import read as drive_read
 from jaxmpc.world.friction import Friction
-from jaxmpc.world.friction import init as friction_init
-from jaxmpc.world.friction import step as friction_step
 from jaxmpc.world.sensor import SensorModel, SensorState
-from jaxmpc.world.sensor import init as sensor_init
-from jaxmpc.world.sensor import read as sensor_read
 from jaxmpc.world.tissue import Tissue
-from jaxmpc.world.tissue import force as tissue_force
-from jaxmpc.world.tissue import init as tissue_init
-from jaxmpc.world.tissue import relax as tissue_relax
 
 _NONE = (0.0, 0.0, 0.0, 0.0)
 
@@ -169,9 +162,9 @@ def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Op
         add(robot.posture, four),
         four,
         motor,
-        friction_init(zero),
-        tissue_init(kind.tissue, zero),
-        sensor_init(kind.tool_inertia, zero),
+        friction.init(zero),
+        tissue.init(kind.tissue, zero),
+        sensor.init(kind.tool_inertia, zero),
         (held, held),
     )
 
@@ -196,7 +189,7 @@ def sense(
     """
     at_tip = chain_tip(chain, pose(chain, state.q, ops))
     tip, velocity = sub(at_tip.position, robot.touch), apply(at_tip.jacobian, state.qd)
-    true = tissue_force(
+    true = tissue.force(
         kind.tissue,
         kind.attached,
         robot.tissue,
@@ -205,13 +198,13 @@ def sense(
         sub(velocity, heart.velocity),
         ops,
     )
-    measured, sensor = sensor_read(robot.sensor, state.sensor, true, velocity, noise, robot.measurement.T_s, ops)
-    return measured, encoders(kind, robot, state, ops), tip, state._replace(sensor=sensor)
+    measured, moved_on = sensor.read(robot.sensor, state.sensor, true, velocity, noise, robot.measurement.T_s, ops)
+    return measured, encoders(kind, robot, state, ops), tip, state._replace(sensor=moved_on)
 
 
 def encoders(kind: RobotStructure, robot: Robot, state: RobotState, ops: Ops) -> Vector:
     """Joint angles that the encoders read, at the motors [rad]."""
-    return drive_read(robot.drive, state.motor[0] if kind.cable else state.q, ops)
+    return drive.read(robot.drive, state.motor[0] if kind.cable else state.q, ops)
 
 
 def move(
@@ -262,12 +255,12 @@ def _substep(
     at_tip = chain_tip(chain, pose(chain, at, ops))
     d = sub(sub(at_tip.position, robot.touch), heart.position)
     ddot = sub(apply(at_tip.jacobian, qd), heart.velocity)
-    y = tissue_force(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, ops)
-    relaxed = tissue_relax(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, h, ops)
+    y = tissue.force(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, ops)
+    relaxed = tissue.relax(kind.tissue, kind.attached, robot.tissue, state.tissue, d, ddot, h, ops)
     loaded = sub(_NONE, apply_transposed(at_tip.jacobian, y))
 
     moving = state.motor[1] if kind.cable else qd
-    bristles, rubbing = friction_step(robot.friction, state.bristles, moving, h, ops)
+    bristles, rubbing = friction.step(robot.friction, state.bristles, moving, h, ops)
     driven = sub(torque, rubbing)
     motor: Any = ()
     if kind.cable:
