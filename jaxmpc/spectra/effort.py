@@ -29,15 +29,15 @@ def effort_rms(gains: Gains, contact: Contact, spectrum: Spectrum) -> Float[Arra
 
     Float64, traceable, differentiable; arguments, and what it means for an unstable loop, as for `residual_rms`.
     """
-    return root_mean_square(asked, gains, contact, spectrum)
+    return root_mean_square(effort_responses, gains, contact, spectrum)
 
 
 def chatter_rms(gains: Gains, contact: Contact, spectrum: Spectrum) -> Float[Array, "3"]:
     """Its change from sample to sample, root mean square [m/s²]: `Metrics.chatter`; the rest as for `effort_rms`."""
-    return root_mean_square(_change, gains, contact, spectrum)
+    return root_mean_square(chatter_responses, gains, contact, spectrum)
 
 
-def asked(gains: Gains, contact: Contact, theta: Any) -> Responses:
+def effort_responses(gains: Gains, contact: Contact, theta: Any) -> Responses:
     """Acceleration asked of the robot per heart [1/s²], disturbance acceleration [-] and noise [m/s²/N].
 
     Args:
@@ -50,7 +50,8 @@ def asked(gains: Gains, contact: Contact, theta: Any) -> Responses:
     return Responses(-loop.force * noise, loop.early * (loop.force * loop.x * noise - loop.damping / loop.whole), noise)
 
 
-def _change(gains: Gains, contact: Contact, theta: Any) -> Responses:
-    heart, acceleration, noise = asked(gains, contact, theta)
+def chatter_responses(gains: Gains, contact: Contact, theta: Any) -> Responses:
+    """Its change from sample to sample; units as for `effort_responses`."""
+    heart, acceleration, noise = effort_responses(gains, contact, theta)
     d = 1.0 - jnp.exp(-1j * theta)
     return Responses(d * heart, d * acceleration, d * noise)

@@ -17,7 +17,7 @@ import scipy.linalg
 from jaxmpc import Params, design
 from jaxmpc.engine.scenario import scenario_data
 from jaxmpc.experiment import Experiment
-from jaxmpc.spectra.effort import asked, chatter_rms, effort_rms
+from jaxmpc.spectra.effort import chatter_rms, effort_responses, effort_rms
 from jaxmpc.spectra.spectrum import spectrum_of
 from jaxmpc.stability.loop import contact_of
 from tests.jaxmpc.linear_loop import SILENT, TEXT, cases, check_gradient, matrices, settling, step_by_step, world
@@ -44,7 +44,7 @@ def test_responses_are_those_of_the_independent_loop(
 ) -> None:
     A, B, C, D = asking(independent_loop, params, K_s, delay, ideal)
     theta = np.array([2e-3, 0.02, 0.15, 1.0, 3.0])
-    found = asked(design(params), world(params, K_s, delay, ideal), theta)
+    found = effort_responses(design(params), world(params, K_s, delay, ideal), theta)
     for i, angle in enumerate(theta):
         heart, noise, pushed = (C @ np.linalg.solve(np.exp(1j * angle) * np.eye(len(A)) - A, B) + D)[0]
         # The state space loses some five digits at the lowest angle, where it is nearly singular.
