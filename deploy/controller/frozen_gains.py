@@ -1,20 +1,12 @@
 """Gains of a frozen controller, checked against what the law declares of them, and as plain data."""
 
 from collections.abc import Mapping
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 from deploy.controller.checks import AGAIN, array, constants, keyed
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.cascade import Gains, constant_reference, order
-from jaxmpc.law.scalar import Constant
-
-
-def declared(kind: type) -> dict[str, Any]:
-    """Every field of a table of constants: its `Constant`, or the class of a part that may be missing."""
-    found: dict[str, Any] = {}
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        found[name] = next(each for each in get_args(hint) if isinstance(each, Constant) or hasattr(each, "_fields"))
-    return found
+from jaxmpc.law.scalar import Constant, declared
 
 
 def checked(gains: Any) -> Gains:

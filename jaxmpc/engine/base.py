@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxmpc.law.cascade import Gains
+from jaxmpc.law.scalar import Constant, declared
 from jaxmpc.loop.arm import ArmSample, ArmSignals
 from jaxmpc.loop.linear import AxisSignals, Sample
 from jaxmpc.metrics import Metrics
@@ -108,7 +109,7 @@ def scalars(gains: Gains, preview: bool) -> Gains:
     """
     ahead = gains.mpc_ref if preview else jnp.sum(gains.mpc_ref, axis=-1, keepdims=True)
     vectors = gains._replace(mpc_ref=ahead)
-    names = ("phi", "gamma", "K", "L", "mpc_ref", "mpc_x")
+    names = (name for name, value in declared(Gains).items() if isinstance(value, Constant) and value.shape)
     return vectors._replace(**{name: tuple(jnp.moveaxis(getattr(vectors, name), -1, 0)) for name in names})
 
 

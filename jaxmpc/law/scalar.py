@@ -5,7 +5,7 @@ operation). Products with the constants 0 and 1 and sums with 0 vanish while the
 and ones of a robot's geometry cost nothing at run time.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 Scalar = Any
 """A float, a traced JAX scalar, a batch of either, or a recorded operation."""
@@ -25,6 +25,14 @@ class Constant(NamedTuple):
     """Least value."""
     below: float | None = None
     """What every value is below."""
+
+
+def declared(table: type) -> dict[str, Any]:
+    """Fields of a table of constants by name: the `Constant` of each, or the class of a part that may be missing."""
+    found: dict[str, Any] = {}
+    for name, hint in get_type_hints(table, include_extras=True).items():
+        found[name] = next(each for each in get_args(hint) if isinstance(each, Constant) or hasattr(each, "_fields"))
+    return found
 
 
 def _is(x: Scalar, constant: float) -> bool:

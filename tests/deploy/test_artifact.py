@@ -11,10 +11,9 @@ import pytest
 from deploy.controller import file
 from deploy.controller.file import ArtifactError, from_bytes, load, to_bytes
 from deploy.controller.freeze import freeze
-from deploy.controller.frozen_gains import declared
 from jaxmpc.files.sealed import LARGEST, canonical_json, seal, unseal
 from jaxmpc.law.cascade import Gains
-from jaxmpc.law.scalar import Constant
+from jaxmpc.law.scalar import Constant, declared
 
 
 @pytest.fixture
