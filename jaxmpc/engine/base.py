@@ -110,7 +110,8 @@ def scalars(gains: Gains, preview: bool) -> Gains:
     ahead = gains.mpc_ref if preview else jnp.sum(gains.mpc_ref, axis=-1, keepdims=True)
     vectors = gains._replace(mpc_ref=ahead)
     names = (name for name, value in declared(Gains).items() if isinstance(value, Constant) and value.shape)
-    return vectors._replace(**{name: tuple(jnp.moveaxis(getattr(vectors, name), -1, 0)) for name in names})
+    apart: dict[str, Any] = {name: tuple(jnp.moveaxis(getattr(vectors, name), -1, 0)) for name in names}
+    return vectors._replace(**apart)
 
 
 def as_dtype(tree: Any, dtype: Any) -> Any:

@@ -1,6 +1,5 @@
 """The arm of the MJCF: its compiled model, the constants of its chain, and its postures."""
 
-import math
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.chain import Chain, Link, mass_matrix, pose, tip
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.scalar import Matrix, Vector
 
 JOINTS = ("J1", "J2", "J3", "J4")
@@ -115,12 +115,12 @@ def _matrix(values: np.ndarray) -> Matrix:
 
 def tip_at(posture: Any) -> np.ndarray:
     """Position of the tip in the shoulder frame, shape (3,) [m]."""
-    return np.array(tip(chain(), pose(chain(), tuple(map(float, posture)), math)).position)
+    return np.array(tip(chain(), pose(chain(), tuple(map(float, posture)), FLOATS)).position)
 
 
 def link_inertias(posture: Any) -> np.ndarray:
     """Inertia about each joint of all it carries, without drives, shape (4,) [kg m²]."""
-    inertias: np.ndarray = np.array(mass_matrix(chain(), pose(chain(), tuple(map(float, posture)), math))).diagonal()
+    inertias: np.ndarray = np.array(mass_matrix(chain(), pose(chain(), tuple(map(float, posture)), FLOATS))).diagonal()
     return inertias
 
 
