@@ -9,7 +9,6 @@ shorts its motor through the windings, viscous friction of Kt²/R at the motor: 
 Until the first torque acts, somebody holds the arm.
 """
 
-import math
 from collections import deque
 from typing import Any, NamedTuple
 
@@ -20,6 +19,7 @@ from deploy.twin.contact import TwinContact
 from deploy.twin.force_sensor_model import ForceSensorModel
 from deploy.twin.heart import TwinHeart
 from deploy.twin.settings import HOME, TwinSettings
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.transmission import JOINT_TO_MOTOR
 from jaxmpc.law.vectors import Vector3, Vector4
 from jaxmpc.world import friction
@@ -205,7 +205,7 @@ def _raised(posture: Vector4, gap: float) -> Vector4:
 
     q, wanted = np.array(posture), tip_at(posture) + np.array([0.0, 0.0, gap])
     for _ in range(20 if gap else 0):
-        found = tip(chain(), pose(chain(), tuple(q.tolist()), math))
+        found = tip(chain(), pose(chain(), tuple(q.tolist()), FLOATS))
         q = q + np.linalg.pinv(np.array(found.jacobian)) @ (wanted - found.position)
     return _four(q)
 

@@ -139,7 +139,7 @@ def _freeze_and_replay(folder: Path, params: "Params") -> bool:
 
     path = folder / "controller.npz"
     freeze_controller(path, params, Experiment.published("table-1"), {"M_s": 2.0}, ideal=True)
-    deviation = replay(load(path))
+    deviation, _ = replay(load(path))
     print(
         f"{path}: {path.stat().st_size} bytes; the numpy runtime repeats the JAX loop to {deviation:.0e} of its command"
     )
