@@ -17,6 +17,7 @@ from tests.jaxmpc.arm_tables import TABLE, changed
 BRIEF = changed(with_physics(TABLE, "mjx"), duration=0.05, settle=0.02, stiffness=(810.0,), reference={"z": -1.0})
 
 
+@pytest.mark.oracle
 def test_a_second_program_of_mjx_in_one_process_is_the_first_ones_equal() -> None:
     """Its model must not belong to the trace of the first program."""
     longer = changed(BRIEF, duration=0.06, settle=0.02)
@@ -26,6 +27,7 @@ def test_a_second_program_of_mjx_in_one_process_is_the_first_ones_equal() -> Non
     np.testing.assert_allclose(second.force[..., :50], first.force, rtol=0, atol=1e-9)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("physics", ["linear", "wam", "mjx"])
 def test_what_an_engine_declares_it_can_differentiate(physics: str) -> None:
     """Each mode that it has, on one sample, against the other."""
