@@ -209,7 +209,9 @@ def test_lost_contact_is_told_and_found_again() -> None:
         {"kind": "hold", "duration": 1.0},
         {"kind": "ramp", "to": -3.0, "rate": 2.9},
     ]
-    table = {"duration": 6.0, "settle": 1.5, "stiffness": [810.0], "tissue": {"attached": False}}
+    table: dict[str, Any] = {"duration": 6.0, "settle": 1.5, "stiffness": [810.0], "tissue": {"attached": False}}
+    # With the robot's limit of the step the loop is lost where the tip meets the tissue again.
+    table["arm"] = {"torque_step_limit": [0.0, 0.0, 0.0, 0.0]}
     experiment = Experiment.from_dict({"physics": "wam", "reference": {"z": ramps}, **table})
     found = evaluate(Params(), experiment, trace=True)
     force, when = np.asarray(found.trace.force)[:, 2], np.asarray(found.when)

@@ -31,7 +31,13 @@ SHORT = changed(
     stiffness=(810.0,),
     reference={"z": -1.0},
     sensor=NO_COUNTS,
-    arm={"encoder_counts": 0, "torque_lsb": 0.0, "torque_limit": (200.0,) * 4},
+    arm={
+        "encoder_counts": 0,
+        "torque_lsb": 0.0,
+        "torque_limit": (200.0,) * 4,
+        "joint_torque_limit": (0.0,) * 4,
+        "torque_step_limit": (0.0,) * 4,
+    },
 )
 """No counts, and no saturation in the first step of 1 N: both are straight-through and so no derivative."""
 
