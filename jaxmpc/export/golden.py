@@ -22,7 +22,7 @@ from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 
-LIMITED_ABOVE = 0.95
+LIMITED_ABOVE = 0.99
 """Quantile of a joint's torques above which the golden trace limits them [-]."""
 
 
