@@ -27,7 +27,14 @@ ON_TWIN = (
     "jaxmpc.world.sensor",
     "jaxmpc.world.tissue",
 )
-TWIN_MAY_IMPORT = ("mujoco", "jaxmpc.world.heart.harmonics", "jaxmpc.world.heart.rhythm", *ON_TWIN)
+TWIN_MAY_IMPORT = (
+    "mujoco",
+    "msgspec",
+    "jaxmpc.experiment.tables",
+    "jaxmpc.files.toml",
+    "jaxmpc.world.heart.motion",
+    *ON_TWIN,
+)
 STRAIGHTLINE = "deploy/runtime/straightline.py"
 UNSAFE_MODULES = ("marshal", "pickle", "shelve", "yaml")
 JAX = {"equinox", "jax", "jaxlib", "jaxtyping", "optax"}
@@ -48,7 +55,7 @@ def refusal(path: str, found: Import) -> str | None:
         return None if allowed else "the law is arithmetic only"
     if within(module, ("deploy.twin",)):
         allowed = standard or within(name, ("deploy", *ROBOT_MAY_IMPORT, *TWIN_MAY_IMPORT))
-        return None if allowed else "the twin needs only mujoco besides"
+        return None if allowed else "the twin needs only mujoco and the tables of an experiment besides"
     if within(module, ("deploy",)):
         if within(name, ("deploy.twin",)) and not (found.deferred and within(module, ("deploy.cli",))):
             return "the robot has no twin"

@@ -66,8 +66,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     machine.add_argument("--bus-log", type=Path, metavar="FILE.log", help="the torque frames, as candump logs them")
     twin = parser.add_argument_group("a twin instead of a bus (needs mujoco)")
     twin.add_argument("--lockstep", action="store_true", help="run against a twin in this process, in its own time")
-    twin.add_argument("--stiffness", type=float, default=810.0, metavar="N/M", help="of its tissue (810)")
-    twin.add_argument("--rhythm", default="harmonics", help="of its heart (harmonics)")
+    twin.add_argument("--experiment", help="its tissue, heart and arm: a TOML file, or a published experiment")
+    twin.add_argument("--stiffness", type=float, metavar="N/M", help="of its tissue (810, or the experiment's)")
+    twin.add_argument("--rhythm", help="of its heart (harmonics, or the experiment's)")
     twin.add_argument(
         "--fault", action="append", default=[], metavar="FAULT", help="as of `jaxmpc twin`, again for more"
     )
@@ -173,12 +174,11 @@ def _recording(folder: Path) -> Path:
 def _twin(args: argparse.Namespace) -> tuple[Any, Any]:
     """A twin's clock and bus."""
     from deploy.twin.lockstep import LockstepBus, LockstepClock
-    from deploy.twin.settings import TwinSettings
+    from deploy.twin.scenario import twin_settings
     from deploy.twin.twin import Twin
 
-    clock = LockstepClock(
-        Twin(TwinSettings(stiffness=args.stiffness, rhythm=args.rhythm, seed=args.seed, faults=tuple(args.fault)))
-    )
+    world = {"stiffness": args.stiffness, "rhythm": args.rhythm, "seed": args.seed, "faults": tuple(args.fault)}
+    clock = LockstepClock(Twin(twin_settings(args.experiment, **world)))
     return clock, LockstepBus(clock)
 
 

@@ -23,12 +23,13 @@ _MODES = ("e-stop", "idle", "active")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("--stiffness", type=float, default=810.0, metavar="N/m", help="of the tissue (810)")
-    parser.add_argument("--tissue", default="elastic", help="elastic, kelvin-voigt, standard-linear, … (elastic)")
+    parser.add_argument("--experiment", help="tissue, heart and arm of a TOML file, or of a published experiment")
+    parser.add_argument("--stiffness", type=float, metavar="N/m", help="of the tissue (810, or the experiment's)")
+    parser.add_argument("--tissue", help="elastic, kelvin-voigt, standard-linear, … (elastic, or the experiment's)")
     parser.add_argument("--touching", action="store_true", help="the tissue does not hold the tip")
-    parser.add_argument("--rhythm", default="harmonics", help="harmonics, none, steady, premature, … (harmonics)")
+    parser.add_argument("--rhythm", help="harmonics, none, steady, premature, … (harmonics, or the experiment's)")
     parser.add_argument("--gap", type=float, default=0.02, metavar="M", help="height above the tissue (0.02)")
-    parser.add_argument("--delay", type=int, default=1, metavar="MS", help="from a torque frame to its action (1)")
+    parser.add_argument("--delay", type=int, metavar="MS", help="from a torque frame to its action (1)")
     parser.add_argument(
         "--sensor-frame", choices=("tool", "world"), default="tool", help="what the force sensor is fixed to (tool)"
     )
@@ -52,8 +53,8 @@ def run(args: argparse.Namespace) -> int:
         InputError: A setting, a fault or a number is wrong.
     """
     from deploy.loop.realtime import PRIORITY, prepared
+    from deploy.twin.scenario import twin_settings
     from deploy.twin.server import HOST, Server
-    from deploy.twin.settings import TwinSettings
     from deploy.twin.twin import Twin
 
     _positive("--duration", args.duration)
@@ -65,13 +66,14 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--slcan", "given", "used where pyserial is installed", remedy)
     presses = [f"pendant:activate@{args.activate_after:g}"] if args.activate_after is not None else []
     twin = Twin(
-        TwinSettings(
+        twin_settings(
+            args.experiment,
             stiffness=args.stiffness,
             tissue=args.tissue,
-            attached=not args.touching,
+            touching=args.touching,
             rhythm=args.rhythm,
-            gap=args.gap,
             delay=args.delay,
+            gap=args.gap,
             frame=args.sensor_frame,
             cold=args.cold,
             seed=args.seed,
@@ -107,10 +109,10 @@ def _positive(flag: str, seconds: float | None) -> None:
 def _introduce(twin: "Twin", server: "Server") -> None:
     from deploy.twin.server import HOST
 
-    settings = twin.settings
-    holding = "holds the tip once touched" if settings.attached else "does not hold the tip"
-    heart = f"heart {settings.rhythm}"
-    print(f"twin: {settings.tissue} tissue, {settings.stiffness:g} N/m, {holding}; {heart}; seed {settings.seed}")
+    settings, tissue, motion = twin.settings, twin.settings.tissue, twin.settings.motion
+    holding = "holds the tip once touched" if tissue.attached else "does not hold the tip"
+    heart = f"heart {motion.rhythm if motion.kind == 'rhythm' else motion.kind}"
+    print(f"twin: {tissue.kind} tissue, {settings.stiffness:g} N/m, {holding}; {heart}; seed {settings.seed}")
     where = (
         "at home, pucks in reset" if settings.cold else f"{1e3 * settings.gap:g} mm above the tissue, homed and awake"
     )

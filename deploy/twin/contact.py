@@ -2,7 +2,10 @@
 
 import math
 
+import numpy as np
+
 from deploy.twin.settings import TwinSettings
+from jaxmpc.experiment.tables import softening
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.vectors import Vector3
 from jaxmpc.world import tissue
@@ -30,8 +33,9 @@ class TwinContact:
             settings: Of the twin.
             rest: Where the resting heart's surface is to be touched [m].
         """
-        self._kind, self._attached, self._pull_off = settings.tissue, settings.attached, settings.pull_off
-        self._tissue, self._rest = tissue.Tissue(settings.stiffness), rest
+        self._settings, self._pull_off, self._rest = settings.tissue, settings.pull_off, rest
+        self._kind, self._attached = settings.tissue.kind, settings.tissue.attached
+        self._constants = tissue.Tissue(settings.stiffness, settings.tissue.constants)
         self.begin(False)
 
     def begin(self, touching: bool) -> None:
@@ -39,14 +43,15 @@ class TwinContact:
         self.touching, self._anchor = touching, self._rest
         self._memory = tissue.init(self._kind, 0.0)
 
-    def press(self, tip: Vector3, speed: Vector3, heart: Vector3, rate: Vector3, h: float) -> Vector3:
+    def press(self, tip: Vector3, speed: Vector3, heart: Vector3, rate: Vector3, t: float, h: float) -> Vector3:
         """Force on the tissue now [N]; what the tissue remembers goes on by h [s], contact begins and ends.
 
         Args:
             tip: Its position [m].
             speed: Its velocity [m/s].
             heart: Displacement of the heart's surface [m].
-            rate: Of that [m/s].
+            rate: Velocity of the heart's surface [m/s].
+            t: Time [s].
             h: Time until the next call [s].
         """
         at = self._anchor
@@ -59,13 +64,19 @@ class TwinContact:
             self.touching = False
         if not self.touching:
             return _NONE
+        constants = self._changed(t) if self._settings.changes else self._constants
         now = self._memory, (x, y, z), (speed[0] - rate[0], speed[1] - rate[1], speed[2] - rate[2])
-        force = tissue.force(self._kind, self._attached, self._tissue, *now, FLOATS)
-        self._memory = tissue.relax(self._kind, self._attached, self._tissue, *now, h, FLOATS)
+        force = tissue.force(self._kind, self._attached, constants, *now, FLOATS)
+        self._memory = tissue.relax(self._kind, self._attached, constants, *now, h, FLOATS)
         if self._attached and force[2] > self._pull_off:
             self.touching, self._memory = False, tissue.init(self._kind, 0.0)
             return _NONE
         return _cut(force[0]), _cut(force[1]), _cut(force[2])
+
+    def _changed(self, t: float) -> tissue.Tissue:
+        """Constants behind the changes of stiffness up to a time [s]."""
+        factor = float(softening(self._settings, np.array([t]))[0])
+        return self._constants._replace(stiffness=factor * self._constants.stiffness)
 
     def _above(self, tip: Vector3) -> bool:
         return math.hypot(tip[0] - self._rest[0], tip[1] - self._rest[1]) < RADIUS

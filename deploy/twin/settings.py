@@ -1,31 +1,25 @@
-"""Which arm, heart, sensor and bus the twin is; the defaults are the nominal imperfect arm of table-1-wam.toml."""
+"""Which arm, heart, tissue, sensor and bus the twin is.
+
+Arm, heart and tissue have the tables of an experiment, and their defaults: the nominal imperfect arm.
+"""
 
 import math
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
+
+from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.toml import convert
 from jaxmpc.law.transmission import IPNM
 from jaxmpc.law.vectors import Vector3, Vector4
-from jaxmpc.world import friction, tissue
-from jaxmpc.world.arm import TOOL_MASS
+from jaxmpc.world.heart.motion import Motion
+from jaxmpc.world.sensor import SENSOR_LOWPASS_HZ
 
 Rotation = tuple[Vector3, Vector3, Vector3]
 
-RHYTHMS = (
-    "harmonics",
-    "none",
-    "steady",
-    "variability",
-    "rate-step",
-    "premature",
-    "bigeminy",
-    "fibrillation",
-    "ventilator-hold",
-    "cough",
-    "amplitude-drift",
-)
-"""The seven peaks of the paper's Fig. 4, a heart at rest, and the rhythms of the published experiments."""
+_ARM, _SENSOR, _TISSUE, _MOTION = ArmSettings(), SensorSettings(), TissueSettings(), Motion()
 HOME: Vector4 = (0.0, -2.0, 0.0, 3.13)
 """Where the arm stands when it is switched on, libbarrett's home [rad]."""
 
@@ -36,45 +30,37 @@ class TwinSettings:
 
     stiffness: float = 810.0
     """Stiffness of the tissue [N/m]."""
-    tissue: str = "elastic"
-    """One of `jaxmpc.world.tissue.KINDS`."""
-    attached: bool = True
-    """Whether the tissue, once touched, holds the tip as the paper's stabiliser does; else the tip can lift."""
+    tissue: TissueSettings = _TISSUE
+    """What the tip presses on; the stiffness apart."""
     pull_off: float = 8.0
     """Pull at which an attached tip comes off [N] (chosen here: above the +2 N of Fig. 3b)."""
-    rhythm: str = "harmonics"
-    """One of `RHYTHMS`."""
-    scale: float = 1.0
-    """Factor on the heart's motion [-]."""
-    start: float = 0.0
-    """When the heart begins to move [s]."""
-    fade: float = 1.0
-    """Time in which its motion grows to full size [s]."""
-    posture: Vector4 = (0.0, 0.7, 0.0, 2.2)
+    motion: Motion = _MOTION
+    """How the heart moves."""
+    posture: Vector4 = _ARM.posture
     """Joint angles at which the tip touches the resting heart [rad]."""
     gap: float = 0.02
     """How far above that the tip starts [m]; 0 starts in contact."""
     mass_scale: float = 1.0
     """Masses and inertias of the links over the nominal ones [-]."""
-    tool_mass: float = TOOL_MASS
+    tool_mass: float = _ARM.tool_mass
     """Tool and sensor at the tip [kg]."""
-    coulomb: Vector4 = (2.025, 2.25, 1.125, 0.66)
+    coulomb: Vector4 = _ARM.coulomb
     """Coulomb friction of the joints [N m]."""
-    presliding: float = friction.PRESLIDING
+    presliding: float = _ARM.presliding
     """Deflection over which it builds up [rad]."""
-    viscous: Vector4 = (1.5, 0.9, 0.5, 0.25)
+    viscous: Vector4 = _ARM.viscous
     """Viscous friction of the joints [N m s/rad]."""
     delay: int = 1
     """Samples from a torque frame to its action."""
     substeps: int = 2
     """Physics steps per millisecond."""
-    noise: float = 0.010
+    noise: float = _SENSOR.noise
     """Noise of the force sensor, per axis and sample [N]."""
-    lsb: Vector3 = (0.0061, 0.0061, 0.0122)
+    lsb: Vector3 = _SENSOR.lsb
     """Its resolution [N], before the int16/256 N of its frames."""
-    lowpass_hz: float = 0.0
+    lowpass_hz: float = SENSOR_LOWPASS_HZ
     """Its low-pass [Hz]; 0 is none."""
-    beyond_sensor: float = 0.0
+    beyond_sensor: float = _ARM.beyond_sensor
     """Mass beyond it, whose inertia and (until tared) weight it reads [kg]."""
     bias: Vector3 = (0.0, 0.0, 0.0)
     """What it reads without force until it is tared [N]."""
@@ -84,7 +70,7 @@ class TwinSettings:
     """Rotation from the sensor's axes to those of `frame`."""
     frame: str = "world"
     """"world": the sensor keeps its direction, as in the simulator; "tool": it turns with the forearm."""
-    counts: int = 4096
+    counts: int = _ARM.encoder_counts
     """CTS, encoder counts per motor turn."""
     ipnm: Vector4 = (IPNM,) * 4
     """Torque units per newton metre of each motor [1/(N m)]."""
@@ -101,8 +87,9 @@ class TwinSettings:
     """See `deploy.twin.faults`."""
 
     def __post_init__(self) -> None:
-        _one_of("tissue", self.tissue, tissue.KINDS)
-        _one_of("rhythm", self.rhythm, RHYTHMS)
+        # What was built in Python has not met its bounds yet.
+        convert(msgspec.to_builtins(self.tissue), TissueSettings, "tissue")
+        convert(msgspec.to_builtins(self.motion), Motion, "motion")
         _one_of("frame", self.frame, ("world", "tool"))
         _within("stiffness", self.stiffness, 1.0, 1e5)
         _within("delay", self.delay, 0, 10)
@@ -111,7 +98,7 @@ class TwinSettings:
         _within("counts", self.counts, 16, 2**20)
         for name in ("mass_scale", "presliding", "pull_off", "heartbeat_s"):
             _within(name, getattr(self, name), 1e-6, 1e6)
-        for name in ("scale", "start", "fade", "tool_mass", "noise", "lowpass_hz", "beyond_sensor", "tare_s"):
+        for name in ("tool_mass", "noise", "lowpass_hz", "beyond_sensor", "tare_s"):
             _within(name, getattr(self, name), 0.0, 1e6)
         _within("seed", self.seed, 0, 2**63 - 1)
         _within("bit_rate", self.bit_rate, 0.0, 1e7)

@@ -75,18 +75,17 @@ class TwinPhysics:
         self._coupling, self._coupled = np.zeros((4, 4)), False
         self._low, self._high = (tuple(row) for row in self._model.jnt_range.T.tolist())
         self._rub = friction_step(settings, self._h)
-        moving = settings.rhythm, self._h, settings.seed, settings.scale, settings.start, settings.fade
-        self._heart = TwinHeart(*moving)
-        self._touch = TwinContact(settings, _three(tip_at(settings.posture)))
+        self._heart = TwinHeart(settings.motion, self._h)
+        self._contact = TwinContact(settings, _three(tip_at(settings.posture)))
         self.posture = _raised(settings.posture, settings.gap)
         """Joint angles above the heart [rad]."""
-        self._gauge = ForceSensorModel(settings)
+        self._force_sensor = ForceSensorModel(settings)
         self._instant = 0
         self._acting: Vector4 = (0.0, 0.0, 0.0, 0.0)
         self._pending = deque([self._acting] * settings.delay)
         self._held = True
         self.place(HOME if settings.cold else self.posture)
-        self._touch.begin(settings.gap == 0.0 and not settings.cold)
+        self._contact.begin(settings.gap == 0.0 and not settings.cold)
         self._sense()
 
     @property
@@ -115,7 +114,7 @@ class TwinPhysics:
     def _hold(self, q: Vector4) -> None:
         self._data.qpos[:], self._data.qvel[:] = q, 0.0
         self._bristles = friction.init(0.0)
-        self._touch.begin(False)
+        self._contact.begin(False)
         self._settle()
 
     def advance(self, motor: Vector4, braked: tuple[bool, ...]) -> None:
@@ -141,7 +140,7 @@ class TwinPhysics:
     def truth(self) -> Truth:
         """The state at this moment."""
         state = self._instant * self._h, self._q, self._qd, self._tip, self._speed, self._surface
-        return Truth(*state, self._force, self._measured, self._acting, self._touch.touching)
+        return Truth(*state, self._force, self._measured, self._acting, self._contact.touching)
 
     def _brake(self, braked: tuple[bool, ...]) -> None:
         """Friction of shorted motors at the joints, Tᵀ diag(Kt²/R) T; one of motors 2 and 3 alone couples J2 and J3."""
@@ -174,11 +173,12 @@ class TwinPhysics:
         self._surface, self._rate = self._heart.at(self._instant)
 
     def _press(self, h: float) -> Vector3:
-        return self._touch.press(self._tip, self._speed, self._surface, self._rate, h)
+        now = self._tip, self._speed, self._surface, self._rate, self._instant * self._h
+        return self._contact.press(*now, h)
 
     def _sense(self) -> None:
         self._force = self._press(0.0)
-        self._measured = self._gauge.read(self._force, self._speed)
+        self._measured = self._force_sensor.read(self._force, self._speed)
 
 
 def _model(settings: TwinSettings) -> Any:

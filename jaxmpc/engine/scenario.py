@@ -9,7 +9,8 @@ import numpy as np
 
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
 from jaxmpc.experiment import Experiment
-from jaxmpc.experiment.build import robot_of, softening, structure_of
+from jaxmpc.experiment.build import robot_of, structure_of
+from jaxmpc.experiment.tables import softening
 from jaxmpc.loop.arm import ArmSignals
 from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.world.heart.motion import displacement

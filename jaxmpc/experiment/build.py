@@ -28,15 +28,6 @@ def structure_of(arm: ArmSettings, tissue: TissueSettings) -> RobotStructure:
     return RobotStructure(tissue.kind, tissue.attached, *structure)
 
 
-def softening(tissue: TissueSettings, t: np.ndarray) -> np.ndarray:
-    """Factor on the stiffness over time, shape (steps,) [-]."""
-    factor = np.ones(len(t))
-    for change in tissue.changes:
-        s = np.clip((t - change.at) / change.duration, 0.0, 1.0) if change.duration else (t >= change.at) * 1.0
-        factor += (change.factor - factor) * s**2 * (3.0 - 2.0 * s)
-    return factor
-
-
 def robot_of(experiment: Experiment) -> Robot:
     """The constants of an experiment's world; the stiffness is left open."""
     arm, tissue, sensor, T_s = experiment.arm, experiment.tissue, experiment.sensor, experiment.sampling_time

@@ -7,6 +7,7 @@ itself with a zero.
 from typing import Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.law.scalar import Vector
@@ -87,6 +88,15 @@ class TissueSettings(_TissueConstants, frozen=True, forbid_unknown_fields=True):
     def linear(self) -> bool:
         """Whether the linear world can have it: a spring that holds the tip and stays as it is."""
         return self.kind == "elastic" and self.attached and not self.changes
+
+
+def softening(tissue: TissueSettings, t: np.ndarray) -> np.ndarray:
+    """Factor on the stiffness over time, shape (steps,) [-]."""
+    factor = np.ones(len(t))
+    for change in tissue.changes:
+        s = np.clip((t - change.at) / change.duration, 0.0, 1.0) if change.duration else (t >= change.at) * 1.0
+        factor += (change.factor - factor) * s**2 * (3.0 - 2.0 * s)
+    return factor
 
 
 class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -10,11 +10,10 @@ import equinox as eqx
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.world.contact import hertz
+from jaxmpc.world.sensor import SENSOR_LOWPASS_HZ
 
 VELOCITY_CUTOFF = 180.0
 """Default velocity low-pass of the WAM [rad/s] (libbarrett, `wam4.conf`)."""
-SENSOR_LOWPASS_HZ = 500.0
-"""Fastest low-pass of the JR3 force sensor, which a loop that runs has unless it is told otherwise [Hz]."""
 
 
 class LoopPath(eqx.Module):

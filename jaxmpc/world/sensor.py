@@ -6,6 +6,9 @@ from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Scalar, Vector, add, scale, sub
 from jaxmpc.world.quantise import quantise
 
+SENSOR_LOWPASS_HZ = 500.0
+"""Fastest low-pass of the JR3 force sensor, which a loop that runs has unless it is told otherwise [Hz]."""
+
 
 class SensorModel(NamedTuple):
     """Constants; each scalar may be a batch."""

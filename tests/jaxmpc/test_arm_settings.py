@@ -10,8 +10,8 @@ from hypothesis import example, given, settings
 
 from jaxmpc import Experiment, InputError
 from jaxmpc.engine.scenario import with_physics
-from jaxmpc.experiment.build import robot_of, softening
-from jaxmpc.experiment.tables import ArmSettings, TissueSettings
+from jaxmpc.experiment.build import robot_of
+from jaxmpc.experiment.tables import ArmSettings, TissueSettings, softening
 from jaxmpc.world.arm import JOINTS, TOOL_MASS, joint_ranges, link_inertias, model, tip_at
 
 WAM = 'physics = "wam"\n'

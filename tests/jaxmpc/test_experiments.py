@@ -10,8 +10,7 @@ import pytest
 
 from jaxmpc import Experiment
 from jaxmpc.experiment import SensorSettings
-from jaxmpc.experiment.build import softening
-from jaxmpc.experiment.tables import ArmSettings, TissueSettings
+from jaxmpc.experiment.tables import ArmSettings, TissueSettings, softening
 from jaxmpc.world.heart import rhythm
 from jaxmpc.world.heart.motion import displacement
 

@@ -15,7 +15,7 @@ from deploy.reference.segments import from_words
 from deploy.safety.machine import OperatingState, SafetyState
 from deploy.safety.reasons import Reason
 from deploy.twin.lockstep import LockstepBus, LockstepClock
-from deploy.twin.settings import TwinSettings
+from deploy.twin.scenario import twin_settings
 from deploy.twin.twin import Twin
 
 ACTIVATED = 100
@@ -95,7 +95,7 @@ def fly(
 
     Faults are timed from the twin's beginning; contact comes at about 0.8 s.
     """
-    twin = Twin(TwinSettings(stiffness=stiffness, gap=settings.pop("gap", 0.005), faults=faults, **settings))
+    twin = Twin(twin_settings(stiffness=stiffness, gap=settings.pop("gap", 0.005), faults=faults, **settings))
     truth: list[tuple[float, ...]] = []
 
     def watch(now: Twin) -> None:

@@ -7,13 +7,14 @@ from deploy.reference.sources import ConstantForce
 from deploy.safety.machine import OperatingState, SafetyState, Task
 from deploy.safety.reasons import Reason
 from deploy.twin.lockstep import LockstepBus, LockstepClock
+from deploy.twin.scenario import motion_named
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from tests.deploy.made import arm_artifact
 
 
 def test_a_checker_that_refuses_everything_lets_go_within_the_cycle(monkeypatch):
-    clock = LockstepClock(Twin(TwinSettings(rhythm="none")))
+    clock = LockstepClock(Twin(TwinSettings(motion=motion_named("none"))))
     options = Options(ConstantForce((0.0, 0.0, -5.0)), turns=False, tare=False)
     session = Session(arm_artifact(), Bus(LockstepBus(clock), clock.now), clock, options, lambda sentence: None)
     cycle, arm = session.cycle, session.arm

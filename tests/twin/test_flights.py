@@ -8,6 +8,7 @@ import pytest
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from jaxmpc import Experiment, Params, evaluate
+from jaxmpc.world.heart.motion import Motion
 from jaxmpc.world.tissue import KINDS
 from tests.twin.flying import fly
 
@@ -29,7 +30,7 @@ def simulated():
 @pytest.mark.parametrize("stiffness", [375.0, 810.0, 1900.0])
 def test_table_1_is_that_of_the_simulator(text, simulated, stiffness):
     # As in the simulator the heart begins to move once the tip is on it.
-    flight = fly(text, stiffness=stiffness, seconds=25.0, start=3.5, gap=BEFORE)
+    flight = fly(text, stiffness=stiffness, seconds=25.0, motion=Motion(start=3.5), gap=BEFORE)
     assert flight.reason is Reason.FINISHED
     assert flight.contact < 3.5
     np.testing.assert_allclose(flight.residual(5.0), simulated[stiffness], rtol=0.05)
@@ -50,7 +51,7 @@ def test_table_1_is_that_of_the_simulator(text, simulated, stiffness):
 def test_a_hazard_ends_torque_within_two_cycles_for_good(plain, fault, reason, detail, phase):
     at = 2.5 + phase
     flight = fly(plain, f"{fault}@{at}+1.0" if fault.startswith("bus") else f"{fault}@{at}", "pendant:activate@2.7",
-                 seconds=4.0, start=9.0, gap=BEFORE)  # fmt: skip
+                 seconds=4.0, motion=Motion(start=9.0), gap=BEFORE)  # fmt: skip
     assert flight.ended.situation.state is OperatingState.FAULT
     assert flight.reason in reason
     assert detail in flight.ended.situation.detail
@@ -62,19 +63,19 @@ def test_a_hazard_ends_torque_within_two_cycles_for_good(plain, fault, reason, d
 
 @pytest.mark.oracle
 def test_a_lost_reply_now_and_then_is_bridged(text):
-    lossy = fly(text, "positions:lost=0.001", seconds=12.0, start=2.5, gap=BEFORE, seed=3)
-    clean = fly(text, seconds=12.0, start=2.5, gap=BEFORE, seed=3)
+    lossy = fly(text, "positions:lost=0.001", seconds=12.0, motion=Motion(start=2.5), gap=BEFORE, seed=3)
+    clean = fly(text, seconds=12.0, motion=Motion(start=2.5), gap=BEFORE, seed=3)
     assert lossy.reason is clean.reason is Reason.FINISHED
     assert lossy.twin.counters["lost"] > 20
     np.testing.assert_allclose(lossy.residual(5.0), clean.residual(5.0), rtol=0.05)
 
 
 def test_two_lost_replies_in_a_row_are_bridged_and_three_are_not(plain):
-    bridged = fly(plain, f"J2:lost=2@{FAULT_AT}", seconds=3.0, start=2.5, gap=BEFORE)
+    bridged = fly(plain, f"J2:lost=2@{FAULT_AT}", seconds=3.0, motion=Motion(start=2.5), gap=BEFORE)
     assert bridged.reason is Reason.FINISHED
     assert bridged.twin.counters["lost"] == 2
 
-    flight = fly(plain, f"J2:lost=3@{FAULT_AT}", seconds=4.0, start=2.5, gap=BEFORE)
+    flight = fly(plain, f"J2:lost=3@{FAULT_AT}", seconds=4.0, motion=Motion(start=2.5), gap=BEFORE)
     assert (flight.ended.situation.state, flight.reason) == (OperatingState.FAULT, Reason.POSITION_OLD)
     assert "J2" in flight.ended.situation.detail
     assert flight.detected(FAULT_AT) == 3

@@ -10,6 +10,7 @@ from deploy.reference.segments import from_words
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from deploy.twin.lockstep import LockstepBus, LockstepClock
+from deploy.twin.scenario import motion_named
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from tests.deploy.made import arm_artifact
@@ -34,7 +35,7 @@ def run():
     """Fly; `happen(clock, watchdog)` is called within cycle `AT`."""
 
     def fly(happen):
-        twin = Twin(TwinSettings(gap=0.003, rhythm="none"))
+        twin = Twin(TwinSettings(gap=0.003, motion=motion_named("none")))
         clock = LockstepClock(twin)
         frames = []
         bus = Bus(LockstepBus(clock), clock.now)

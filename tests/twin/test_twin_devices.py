@@ -9,12 +9,13 @@ from deploy.puck import codec
 from deploy.puck.frame import Frame
 from deploy.puck.pendant import decode_pendant
 from deploy.puck.properties import number
+from deploy.twin.scenario import motion_named
 from deploy.twin.settings import HOME, TwinSettings
 from deploy.twin.twin import Twin
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.transmission import JOINT_TO_MOTOR
 
-QUIET = {"rhythm": "none", "noise": 0.0, "lsb": (0.0, 0.0, 0.0)}
+QUIET = {"motion": motion_named("none"), "noise": 0.0, "lsb": (0.0, 0.0, 0.0)}
 MOTOR = {name: number(name, "motor", 200) for name in ("STAT", "MODE", "P", "MT", "ERROR", "MECH", "CTS", "IPNM")}
 SAFETY = {
     name: number(name, "safety", 200) for name in ("MODE", "PEN", "ZERO", "VL1", "VL2", "TL2", "IFAULT", "LOAD", "DEF")
@@ -321,7 +322,7 @@ def test_a_sensor_on_the_tool_turns_with_it():
 
 
 def test_taring_takes_its_time_and_then_the_bias_and_the_tools_weight_are_gone():
-    twin = Twin(TwinSettings(rhythm="none", bias=(0.5, -1.0, 2.0), beyond_sensor=0.1))
+    twin = Twin(TwinSettings(motion=motion_named("none"), bias=(0.5, -1.0, 2.0), beyond_sensor=0.1))
     np.testing.assert_allclose(force(twin).force, [-0.5, 1.0, -2.0 - 0.1 * 9.805], atol=0.1)
     twin.receive(codec.set_value(8, codec.FORCE_READING, 0))
     wait(twin, 0.5)

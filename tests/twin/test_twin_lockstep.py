@@ -9,6 +9,7 @@ from deploy.force.sensor import Mounted
 from deploy.puck import codec
 from deploy.puck.frame import Frame
 from deploy.twin.lockstep import LockstepBus, LockstepClock
+from deploy.twin.scenario import motion_named
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from deploy.wam.startup import startup
@@ -126,7 +127,7 @@ def test_bus_off_refuses_and_is_seen(connect):
 @pytest.mark.parametrize("cold", [False, True])
 def test_the_robots_own_start_up_finds_an_arm(cold, connect):
     """It wakes, homes, and reads in cycles what the arm really does."""
-    twin = Twin(TwinSettings(cold=cold, rhythm="none", gap=0.0, ipnm=(2700.0, 2562.0, 2562.0, 2700.0)))
+    twin = Twin(TwinSettings(cold=cold, motion=motion_named("none"), gap=0.0, ipnm=(2700.0, 2562.0, 2562.0, 2700.0)))
     clock = LockstepClock(twin)
     said = []
     bus = Bus(connect(clock), now=clock.now)
@@ -173,9 +174,13 @@ def control(settings, milliseconds=300):
 
 
 def test_every_run_is_the_same():
-    settings = TwinSettings(gap=0.005, rhythm="fibrillation", seed=3, faults=("frames:lost=0.01", "force:garbage@0.1"))
+    settings = TwinSettings(
+        gap=0.005, motion=motion_named("fibrillation", 3), seed=3, faults=("frames:lost=0.01", "force:garbage@0.1")
+    )
     assert control(settings) == control(settings)
-    assert control(settings) != control(TwinSettings(gap=0.005, rhythm="fibrillation", seed=4, faults=settings.faults))
+    assert control(settings) != control(
+        TwinSettings(gap=0.005, motion=motion_named("fibrillation", 4), seed=4, faults=settings.faults)
+    )
 
 
 def test_the_whole_bus_of_a_millisecond_fits():

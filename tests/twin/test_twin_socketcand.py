@@ -13,6 +13,7 @@ import pytest
 from deploy.bus.bus import Bus
 from deploy.puck import codec
 from deploy.puck.frame import Frame
+from deploy.twin.scenario import motion_named
 from deploy.twin.server import HOST, Server
 from deploy.twin.settings import TwinSettings
 from deploy.twin.slcan import Slcan
@@ -27,7 +28,7 @@ def serve():
     running = []
 
     def start(**settings):
-        server = Server(Twin(TwinSettings(**{"rhythm": "none"} | settings)))
+        server = Server(Twin(TwinSettings(**{"motion": motion_named("none")} | settings)))
         thread = threading.Thread(target=server.run)
         running.append((server, thread))
         thread.start()
@@ -109,7 +110,7 @@ def test_it_listens_to_this_machine_alone_and_a_taken_port_is_an_error(serve):
     server = serve()
     assert server._listener.getsockname()[0] == "127.0.0.1"
     with pytest.raises(OSError, match="in use"):
-        Server(Twin(TwinSettings(rhythm="none")), server.port)
+        Server(Twin(TwinSettings(motion=motion_named("none"))), server.port)
 
 
 def test_time_goes_by_as_on_the_clock(serve):

@@ -6,11 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from deploy.twin.contact import TwinContact
 from deploy.twin.heart import TwinHeart
-from deploy.twin.settings import HOME, RHYTHMS, TwinSettings
+from deploy.twin.scenario import HEARTS, RHYTHMS, SCENARIOS, motion_named, twin_settings
+from deploy.twin.settings import HOME, TwinSettings
 from deploy.twin.world import TORQUE_CONSTANT, WINDING, TwinPhysics
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.build import robot_of
+from jaxmpc.experiment.tables import TissueSettings
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.chain import inverse_dynamics, pose, tip
 from jaxmpc.law.scalar import apply_transposed
@@ -64,7 +67,11 @@ def test_the_world_is_the_simulators(kind, steps):
     structure = robot.RobotStructure(kind, integrator="euler")
     state = robot.init(chain(), structure, of, 0.0, FLOATS)
     # The torque of the last sample is given to a twin that takes it at once.
-    world = TwinPhysics(TwinSettings(tissue=kind, substeps=1, gap=0.0, fade=0.1, delay=0, pull_off=1e6))
+    world = TwinPhysics(
+        TwinSettings(
+            tissue=TissueSettings(kind=kind), motion=Motion(fade=0.1), substeps=1, gap=0.0, delay=0, pull_off=1e6
+        )
+    )
     signals = displacement(Motion(fade=0.1), np.arange(steps) * 1e-3)
     hearts = [robot.HeartSample(tuple(x), tuple(v)) for x, v in zip(*(each.tolist() for each in signals), strict=True)]
     draw, sent, normal = np.random.default_rng(3), holding(world), []
@@ -89,13 +96,13 @@ def test_a_torque_acts_after_the_delay():
         assert acting == [k >= delay for k in range(5)]
 
 
-@pytest.mark.parametrize("name", RHYTHMS)
+@pytest.mark.parametrize("name", [*HEARTS, *RHYTHMS, *SCENARIOS])
 def test_the_heart_moves_as_in_the_published_experiments(name):
     published = {"harmonics": "table-1-wam", "none": ""}.get(name, name)
     if published == name and name not in ("ventilator-hold", "cough", "amplitude-drift"):
         published = f"rhythm-{name}"
     motion = Experiment.published(published).motion if published else Motion(kind="none")
-    heart = TwinHeart(name, 5e-4, motion.seed, motion.scale, motion.start, motion.fade)
+    heart = TwinHeart(motion_named(name, motion.seed), 5e-4)
     # 9 to 11 s, where rates step, lungs stop and coughs come; three blocks at once would hide a seam.
     instants = range(18_000, 22_000)
     found = np.array([heart.at(i) for i in instants])
@@ -119,7 +126,7 @@ def test_somebody_holds_the_arm_until_a_torque_acts():
 
 
 def test_the_tip_starts_above_and_touches_where_the_posture_says():
-    settings = TwinSettings(rhythm="none", gap=0.01, **FREE)
+    settings = TwinSettings(motion=motion_named("none"), gap=0.01, **FREE)
     world = TwinPhysics(settings)
     np.testing.assert_allclose(
         world.truth().tip, tip_at(settings.posture) + np.array([0.0, 0.0, 0.01]), rtol=0.0, atol=1e-12
@@ -134,7 +141,9 @@ def test_the_tip_starts_above_and_touches_where_the_posture_says():
 
 def test_an_attached_tip_pulls_until_it_comes_off_and_a_touching_one_never_pulls():
     for attached in (True, False):
-        settings = TwinSettings(rhythm="none", gap=0.0, attached=attached, pull_off=3.0, **FREE)
+        settings = TwinSettings(
+            motion=motion_named("none"), gap=0.0, tissue=TissueSettings(attached=attached), pull_off=3.0, **FREE
+        )
         world = TwinPhysics(settings)
         forces = np.array([truth.force[2] for truth in run(world, 0.25, lift=8.0)])
         assert forces.max() == pytest.approx(3.0, abs=0.3) if attached else forces.max() <= 0.0
@@ -148,7 +157,7 @@ def test_an_attached_tip_pulls_until_it_comes_off_and_a_touching_one_never_pulls
 
 def test_an_idle_arm_sinks_slowly_on_its_shorted_motors():
     """Gravity against Kt²/R: the speed of J2 after the first tenth of a second, to a tenth."""
-    world = TwinPhysics(TwinSettings(rhythm="none", gap=0.2, **FREE))
+    world = TwinPhysics(TwinSettings(motion=motion_named("none"), gap=0.2, **FREE))
     run(world, 0.005)
     begin = world.q
     weight = inverse_dynamics(chain(), pose(chain(), begin, math), NONE, NONE)[1]
@@ -162,7 +171,7 @@ def test_one_idle_motor_brakes_its_own_turning_and_no_other():
     """With J2 and J3 turning such that motor 2 stands still, shorting motor 2 takes nothing away."""
     speeds = []
     for braked in (DRIVING, (False, True, False, False), (False, False, True, False)):
-        world = TwinPhysics(TwinSettings(rhythm="none", gap=0.2, **FREE))
+        world = TwinPhysics(TwinSettings(motion=motion_named("none"), gap=0.2, **FREE))
         run(world, 0.005)
         world._data.qvel[:] = 0.0, 16.8155 * 0.02, 28.25 * 0.02, 0.0
         world._settle()
@@ -175,7 +184,7 @@ def test_one_idle_motor_brakes_its_own_turning_and_no_other():
 
 
 def test_joints_end_at_their_stops():
-    world = TwinPhysics(TwinSettings(rhythm="none", gap=0.2))
+    world = TwinPhysics(TwinSettings(motion=motion_named("none"), gap=0.2))
     for _ in range(1500):
         world.advance((1.0, 1.0, 0.5, -0.5), DRIVING)
     low, high = joint_ranges().T
@@ -186,8 +195,7 @@ def test_joints_end_at_their_stops():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"tissue": "jelly"},
-        {"rhythm": "waltz"},
+        {"motion": Motion(kind="rhythm", heart_rate_hz=9.0)},
         {"stiffness": 0.0},
         {"stiffness": math.nan},
         {"delay": -1},
@@ -210,3 +218,49 @@ def test_the_same_seed_is_the_same_world():
 
     assert measured(1) == measured(1)
     assert measured(1) != measured(2)
+
+
+def test_a_twin_of_an_experiment_meets_what_the_simulation_meets(tmp_path):
+    t = np.arange(0.0, 4.0, 0.01)
+    rows = "\n".join(f"{x:g},{0.001 * math.sin(9.0 * x):.9f},0,{0.004 * math.sin(7.0 * x):.9f}" for x in t)
+    (tmp_path / "heart.csv").write_text(f"t,x,y,z\n{rows}\n")
+    text = """
+    physics = "wam"
+    stiffness = [600.0]
+    delay = 2
+    [motion]
+    kind = "recording"
+    file = "heart.csv"
+    repeat = true
+    start = 0.1
+    [tissue]
+    kind = "kelvin-voigt"
+    viscosity = 1.5
+    attached = false
+    changes = [{ at = 0.05, factor = 3.0, duration = 0.1 }]
+    [arm]
+    coulomb = [1.0, 1.0, 1.0, 0.5]
+    [sensor]
+    noise = 0.002
+    """
+    (tmp_path / "e.toml").write_text(text)
+    experiment = Experiment.from_toml(tmp_path / "e.toml")
+    settings = twin_settings(str(tmp_path / "e.toml"), gap=0.0)
+    assert (settings.motion, settings.tissue) == (experiment.motion, experiment.tissue)
+    assert (settings.stiffness, settings.delay, settings.noise) == (600.0, 2, 0.002)
+    assert (settings.coulomb, settings.lsb) == (experiment.arm.coulomb, experiment.sensor.lsb)
+    world = TwinPhysics(settings)
+    truths = run(world, 0.3, lift=-3.0)
+    surface = displacement(experiment.motion, np.array([truth.time for truth in truths]))[0]
+    np.testing.assert_allclose([truth.heart for truth in truths], surface, rtol=0.0, atol=1e-12)
+    contact = TwinContact(settings, NONE[:3])
+    contact.begin(True)
+    pressed = [contact.press((0.0, 0.0, -0.005), NONE[:3], NONE[:3], NONE[:3], t, 0.0)[2] for t in (0.0, 0.1, 0.2)]
+    assert pressed == pytest.approx([-3.0, -6.0, -9.0], rel=1e-3)
+    wrong = {"motion.repeat": ("repeat = true", ""), "tissue.viscosity": ("viscosity = 1.5", "viscosity = -1.0")}
+    for key, replaced in wrong.items():
+        (tmp_path / "e.toml").write_text(text.replace(*replaced))
+        with pytest.raises(InputError, match=key):
+            TwinPhysics(twin_settings(str(tmp_path / "e.toml")))
+    with pytest.raises(InputError, match="Did you mean 'cough'"):
+        twin_settings("cuogh")

@@ -1,0 +1,122 @@
+"""From an experiment, or the name of a rhythm, to the twin's settings: it meets what the simulation meets."""
+
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+from msgspec.structs import replace
+
+from deploy.twin.settings import TwinSettings
+from jaxmpc.experiment.tables import ArmSettings, TissueSettings
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.toml import convert, known_keys, located, read_toml
+from jaxmpc.world.heart.motion import Motion
+
+HEARTS = ("harmonics", "none")
+"""Kinds of motion that need no more than their name."""
+RHYTHMS: tuple[str, ...] = get_args(get_type_hints(Motion)["rhythm"])
+SCENARIOS = ("ventilator-hold", "cough", "amplitude-drift")
+"""Published experiments that are named after what their heart or lungs do."""
+
+ARM = ("tool_mass", "beyond_sensor", "coulomb", "viscous", "presliding")
+"""Fields that the arm of an experiment and the twin have alike."""
+SENSOR = ("noise", "lsb", "lowpass_hz")
+"""Such fields of the force sensor."""
+
+
+def motion_named(name: str, seed: int = 0) -> Motion:
+    """The seven peaks of the paper's Fig. 4, a heart at rest, a rhythm, or the motion of a published scenario.
+
+    Args:
+        name: One of `HEARTS`, `RHYTHMS` and `SCENARIOS`.
+        seed: What all that is drawn comes from.
+
+    Raises:
+        InputError: There is no such name.
+    """
+    _one_of("rhythm", name, (*HEARTS, *RHYTHMS, *SCENARIOS))
+    if name in HEARTS:
+        return convert({"kind": name}, Motion, "motion")
+    motion = {"kind": "rhythm", "rhythm": name}
+    if name in SCENARIOS:
+        motion = read_toml(_published(name))["motion"]
+    return convert(motion | {"seed": seed}, Motion, "motion")
+
+
+def twin_settings(
+    experiment: str | None = None,
+    *,
+    stiffness: float | None = None,
+    tissue: str | None = None,
+    touching: bool = False,
+    rhythm: str | None = None,
+    delay: int | None = None,
+    seed: int = 0,
+    **others: Any,
+) -> TwinSettings:
+    """Settings of a twin, from an experiment and from what is said beside it.
+
+    Args:
+        experiment: A TOML file, or the name of a published experiment; its first stiffness is taken.
+        stiffness: Another one [N/m].
+        tissue: Kind of another tissue.
+        touching: Whether the tissue does not hold the tip.
+        rhythm: Name of another motion; see `motion_named`.
+        delay: Another one, from a torque frame to its action [samples].
+        seed: What noise, faults and the motion of that name are drawn from.
+        **others: Further fields of `TwinSettings`.
+
+    Raises:
+        InputError: The experiment cannot be read, or a value is wrong.
+    """
+    settings = _of_experiment(experiment) if experiment is not None else {}
+    table: TissueSettings = settings.get("tissue", TissueSettings())
+    if tissue is not None:
+        table = convert({"kind": tissue}, TissueSettings, "tissue")
+    settings["tissue"] = replace(table, attached=False) if touching else table
+    if rhythm is not None:
+        settings["motion"] = motion_named(rhythm, seed)
+    if stiffness is not None:
+        settings["stiffness"] = stiffness
+    if delay is not None:
+        settings["delay"] = delay
+    return TwinSettings(**settings, seed=seed, **others)
+
+
+def _of_experiment(name: str) -> dict[str, Any]:
+    """What an experiment says of the world; of the controller's share in it the twin knows nothing."""
+    path = Path(name) if name.endswith(".toml") else _published(name)
+    data = read_toml(path)
+    with located(path):
+        arm: ArmSettings = _table(data, "arm", ArmSettings)
+        tissue: TissueSettings = _table(data, "tissue", TissueSettings)
+        motion: Motion = _table(data, "motion", Motion)
+        if motion.file:
+            motion = replace(motion, file=str(path.parent / motion.file))
+        settings: dict[str, Any] = {"tissue": tissue, "motion": motion, "posture": arm.resting()}
+        settings |= {key: getattr(arm, key) for key in ARM}
+        sensor = {key: data.get("sensor", {}).get(key) for key in SENSOR}
+        settings |= {key: tuple(value) if key == "lsb" else value for key, value in sensor.items() if value is not None}
+        settings |= {"stiffness": float(data["stiffness"][0])} if data.get("stiffness") else {}
+        return settings | ({"delay": data["delay"]} if "delay" in data else {})
+
+
+def _table(data: dict[str, Any], key: str, kind: Any) -> Any:
+    table = data.get(key, {})
+    if isinstance(table, dict):
+        known_keys(kind, table, key)
+    return convert(table, kind, key)
+
+
+def _one_of(key: str, name: str, known: tuple[str, ...]) -> None:
+    if name not in known:
+        raise InputError(key, name, "a known name", nearest(name, list(known)))
+
+
+def _published(name: str) -> Path:
+    """The file of a published experiment; its package is installed as files."""
+    folder = Path(str(resources.files("jaxmpc.experiment"))) / "published"
+    known = sorted(path.stem for path in folder.glob("*.toml"))
+    if name not in known:
+        raise InputError("experiment", name, "a TOML file or a published experiment", nearest(name, known))
+    return folder / f"{name}.toml"
