@@ -322,7 +322,7 @@ def test_a_sensor_on_the_tool_turns_with_it():
 
 
 def test_taring_takes_its_time_and_then_the_bias_and_the_tools_weight_are_gone():
-    twin = Twin(TwinSettings(motion=motion_named("none"), bias=(0.5, -1.0, 2.0), beyond_sensor=0.1))
+    twin = Twin(TwinSettings(motion=motion_named("none"), bias=(0.5, -1.0, 2.0), beyond_sensor=0.1, lowpass_hz=0.0))
     np.testing.assert_allclose(force(twin).force, [-0.5, 1.0, -2.0 - 0.1 * 9.805], atol=0.1)
     twin.receive(codec.set_value(8, codec.FORCE_READING, 0))
     wait(twin, 0.5)
