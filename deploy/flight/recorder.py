@@ -7,7 +7,6 @@ the wall clock showed at the same moment.
 """
 
 import struct
-import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -91,30 +90,33 @@ class FlightRecorder:
         if row.size * self.length > LARGEST // 2:
             raise ValueError(f"a recording of {row.size * self.length} bytes could not be read again")
         self._pack, self._stride, self._size = row.pack_into, row.size, row.size * self.length
-        self._full, self._spare = _Ring(self._size), _Ring(self._size)
-        self._writer: threading.Thread | None = None
-        self._result = ""
+        # NaN throughout. Touched now: a page first written within a cycle would have to be fetched within it.
+        self._memory = bytearray(b"\xff" * self._size)
+        self._offset = self._written = 0
 
     def __len__(self) -> int:
-        return min(self._full.written, self.length)
+        return min(self._written, self.length)
 
     def append(self, row: Sequence[float]) -> None:
         """Keep a row, all signals one after the other; the oldest is overwritten. It never raises."""
-        ring = self._full
         try:
-            self._pack(ring.memory, ring.offset, *row)
+            self._pack(self._memory, self._offset, *row)
         except struct.error:
             self.refused += 1
-            ring.memory[ring.offset : ring.offset + self._stride] = b"\xff" * self._stride  # all NaN
+            self._memory[self._offset : self._offset + self._stride] = b"\xff" * self._stride  # all NaN
             return
-        ring.written += 1
-        ring.offset += self._stride
-        if ring.offset == self._size:
-            ring.offset = 0
+        self._written += 1
+        self._offset += self._stride
+        if self._offset == self._size:
+            self._offset = 0
 
     def signals(self) -> dict[str, np.ndarray]:
         """A copy of everything that is in the ring, oldest row first."""
-        return self._split(self._full)
+        table = np.frombuffer(self._memory).reshape(self.length, self.width)
+        first = self._written % self.length if self._written > self.length else 0
+        rows = np.concatenate([table[first : min(self._written, self.length)], table[:first]])
+        ends = np.cumsum([width for width, _ in self.columns.values()])[:-1]
+        return dict(zip(self.columns, np.split(rows, ends, axis=1), strict=True))
 
     def write(self, path: Path, header: Mapping[str, Any]) -> str:
         """Write a recording, in some tens of milliseconds: torques must be off by then.
@@ -126,46 +128,9 @@ class FlightRecorder:
         Returns:
             A sentence: what was written, or why nothing was. Then the rows are still in memory.
         """
-        return self._write(self._full, path, header)
-
-    def write_behind(self, path: Path, header: Mapping[str, Any]) -> bool:
-        """Let a thread write while the loop goes on in a second ring, which begins empty.
-
-        Returns:
-            Whether it began; not while an earlier one is being written. `finish` tells how it ended.
-        """
-        if self._writer is not None and self._writer.is_alive():
-            return False
-        full, self._full = self._full, self._spare
-        self._spare = full
-        self._full.written = self._full.offset = 0
-
-        def work() -> None:
-            self._result = self._write(full, path, header)
-
-        self._writer = threading.Thread(target=work, name="flight recorder", daemon=True)
-        self._writer.start()
-        return True
-
-    def finish(self, timeout: float = 10.0) -> str:
-        """Wait for the thread [s] and return its sentence; empty if there was none."""
-        if self._writer is not None:
-            self._writer.join(timeout)
-            if self._writer.is_alive():
-                return f"the flight recording is still not written after {timeout:g} s"
-        return self._result
-
-    def _split(self, ring: "_Ring") -> dict[str, np.ndarray]:
-        table = np.frombuffer(ring.memory).reshape(self.length, self.width)
-        first = ring.written % self.length if ring.written > self.length else 0
-        rows = np.concatenate([table[first : min(ring.written, self.length)], table[:first]])
-        ends = np.cumsum([width for width, _ in self.columns.values()])[:-1]
-        return dict(zip(self.columns, np.split(rows, ends, axis=1), strict=True))
-
-    def _write(self, ring: "_Ring", path: Path, header: Mapping[str, Any]) -> str:
         try:
-            signals = self._split(ring)
-            count = min(ring.written, self.length)
+            signals = self.signals()
+            count = len(self)
             clocks = {"monotonic_ns": time.monotonic_ns(), "wall_ns": time.time_ns()}
             columns = {name: list(column) for name, column in self.columns.items()}
             about = {"schema": SCHEMA, "version": VERSION, "columns": columns, "refused": self.refused, **clocks}
@@ -177,15 +142,6 @@ class FlightRecorder:
         except (TypeError, ValueError) as error:
             return f"the flight recording could not be sealed: {error}; it is kept in memory"
         return f"flight recording: {count} samples in {path}"
-
-
-class _Ring:
-    """Memory, the place of the next row in it, and how many rows there have ever been."""
-
-    def __init__(self, size: int) -> None:
-        # NaN throughout. Touched now: a page first written within a cycle would have to be fetched within it.
-        self.memory = bytearray(b"\xff" * size)
-        self.offset = self.written = 0
 
 
 def read(path: Path | str) -> FlightRecording:

@@ -18,8 +18,6 @@ from jaxmpc.law.scalar import Scalar, Vector
 
 COULOMB = (2.7, 2.5, 1.5, 1.1)
 """Coulomb friction of a Barrett WAM, openwam's Dynamics.cc: the highest published [N m]."""
-COULOMB_LOW = (1.601, 0.533, 0.3454, 0.6291)
-"""The same of the public wam7robot model: the lowest published [N m]."""
 PRESLIDING = 1e-3
 """Presliding displacement z, an assumption: no source gives one [rad]."""
 SMALL_VELOCITY = 1e-3

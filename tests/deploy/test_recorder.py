@@ -68,10 +68,10 @@ def test_rows_that_are_none_are_counted_and_never_raise(tmp_path):
 
 def test_memory_is_what_it_was_at_the_start():
     recorder = FlightRecorder(SMALL, seconds=0.01)
-    size = len(recorder._full.memory)
+    size = len(recorder._memory)
     for k in range(1000):
         recorder.append(row(k))
-    assert len(recorder._full.memory) == size == 10 * 4 * 8
+    assert len(recorder._memory) == size == 10 * 4 * 8
     with pytest.raises(ValueError, match="could not be read again"):
         FlightRecorder(seconds=100.0)
 
@@ -104,27 +104,6 @@ def test_a_full_disk_is_said_and_the_rows_stay(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
     recorder.write(tmp_path / "f.npz", HEADER)
     assert read(tmp_path / "f.npz").signals["time"].tolist() == [[0.007]]
-
-
-def test_writing_behind_goes_on_in_a_second_ring(tmp_path, monkeypatch):
-    from deploy.flight import recorder as module
-
-    recorder, gate = FlightRecorder(SMALL, seconds=0.01), threading.Event()
-    write = module.write_atomic
-    monkeypatch.setattr("deploy.flight.recorder.write_atomic", lambda *rest: gate.wait(10.0) and write(*rest))
-    assert recorder.finish() == ""
-    for k in range(12):
-        recorder.append(row(k))
-    assert recorder.write_behind(tmp_path / "f.npz", HEADER)
-    recorder.append(row(99))
-    assert not recorder.write_behind(tmp_path / "g.npz", HEADER)
-    assert "still not written" in recorder.finish(0.01)
-    gate.set()
-    assert "10 samples" in recorder.finish()
-    assert read(tmp_path / "f.npz").signals["time"][:, 0].tolist() == [1e-3 * k for k in range(2, 12)]
-    assert recorder.signals()["time"].tolist() == [[0.099]]
-    assert recorder.write_behind(tmp_path / "g.npz", HEADER)
-    assert "1 samples" in recorder.finish()
 
 
 def contents(**changes):
