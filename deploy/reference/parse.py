@@ -24,7 +24,7 @@ def from_text(text: str, *, rate: float = RATE, largest: float = LARGEST, start:
             line; anything else is a CSV file with the columns t,x,y,z.
         rate: Largest rate of segments and files [N/s].
         largest: Largest magnitude [N].
-        start: Vector3 at contact, where the words of `ramps:` begin [N].
+        start: Force at contact, where the words of `ramps:` begin [N].
 
     Raises:
         InputError: It is none of these, or asks for more than the limits.

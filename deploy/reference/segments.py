@@ -48,7 +48,7 @@ def from_words(text: str, *, rate: float, largest: float, start: Vector3 = (0.0,
             `sweep@X,Y,Z@HZ@HZ@SECONDS` adds a sine of these amplitudes [N] from one frequency to another.
         rate: Largest rate [N/s].
         largest: Largest magnitude [N].
-        start: Vector3 where they begin [N].
+        start: Force where they begin [N].
 
     Raises:
         InputError: A segment is none of these, or exceeds a limit.
