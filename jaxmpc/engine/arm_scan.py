@@ -1,7 +1,6 @@
 """The loop on the arm over time as a scan, over every motion, tissue and controller at once."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import jax
@@ -98,10 +97,9 @@ def run(
     Each sample is one checkpoint of the reverse mode, which then holds the carry of every step and no more.
     """
 
-    def one(state: Any, raw: ArmSignals) -> tuple[Any, ArmSample | None]:
+    def sample_of(cell: Cell, state: Any, now: ArmSignals) -> tuple[Any, ArmSample]:
         carry, (totals, clamped), trouble = state
-        now, opaque = at_one_sample(raw), 1.0 + 0.0 * raw.time.ravel()[0]
-        following, sample = transform(partial(advance, loop, ops=ops), opaque)(cell, carry, now)
+        following, sample = advance(loop, cell, carry, now, ops)
         totals = tuple(
             add(total, score > 0.0, force - wanted[0], a, a - before, force, ops)
             for total, score, force, wanted, a, before in zip(
@@ -109,8 +107,12 @@ def run(
             )
         )
         trouble = noticed(trouble, sample, now, force_limit, ops)
-        kept = sample._replace(force_ref=raw.force_ref) if traced else None
-        return (following, (totals, clamped + sample.clamped[0]), trouble), kept
+        return (following, (totals, clamped + sample.clamped[0]), trouble), sample
+
+    def one(state: Any, raw: ArmSignals) -> tuple[Any, ArmSample | None]:
+        opaque = 1.0 + 0.0 * raw.time.ravel()[0]
+        following, sample = transform(sample_of, opaque)(cell, state, at_one_sample(raw))
+        return following, sample._replace(force_ref=raw.force_ref) if traced else None
 
     def stretch(state: Any, part: ArmSignals) -> tuple[Any, ArmSample | None]:
         carry, (totals, clamped), trouble = state
