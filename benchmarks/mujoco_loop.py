@@ -213,6 +213,8 @@ def run(
         # 5. Drives. What the clamp takes away at the tip, J M⁻¹ Δτ, the observer must know.
         wanted = torque @ T_inverse
         motor = np.minimum(np.maximum(wanted, -limit), limit)
+        # Motors 2 and 3 move joints 2 and 3 together: both give way alike, which keeps the torques' direction.
+        motor[1:3] = wanted[1:3] * min(1.0, *(limit[1:3] / np.maximum(np.abs(wanted[1:3]), limit[1:3])))
         cascade.v += ((motor - wanted) @ T) @ M_inverse_JT
         if loop.torque_quantised:
             motor = np.floor(motor * IPNM) / IPNM

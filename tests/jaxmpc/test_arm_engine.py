@@ -33,7 +33,9 @@ def table_one() -> Any:
 
 # Against the loop around C MuJoCo.
 
-EULER = changed(TABLE, duration=5.0, settle=4.0, arm={"integrator": "euler"})
+UNLIMITED = {"joint_torque_limit": (0.0,) * 4, "torque_step_limit": (0.0,) * 4}
+EULER = changed(TABLE, duration=5.0, settle=4.0, arm={"integrator": "euler", **UNLIMITED})
+"""The loop around C MuJoCo has the motors' limits and no others."""
 FINE = changed(EULER, tissue={"kind": "kelvin-voigt", "viscosity": 0.0}, arm={"beyond_sensor": 1e-6}, sensor=NO_COUNTS)
 """The nominal arm in the program of `HARD`: no viscosity, and next to nothing beyond the sensor."""
 HARD = changed(
@@ -42,8 +44,9 @@ HARD = changed(
     delay=2,
     stiffness=(375.0, 500.0, 810.0),
     sensor={"lowpass_hz": 500.0},
-    arm={"beyond_sensor": 0.005, "compensation": 0.5, "tool_mass_error": 0.05},
+    arm={"beyond_sensor": 0.005, "compensation": 0.5, "tool_mass_error": 0.05, "torque_lsb": 0.0},
 )
+"""Its motors saturate: exactly at a limit, which is a whole unit, rounding decides whether a unit more is lost."""
 
 
 @partial(jax.jit, static_argnames=("world", "traced"))
@@ -74,6 +77,7 @@ def check_parity(experiment: Experiment) -> None:
             coulomb=arm.coulomb,
             damping=arm.viscous,
             compensation=arm.compensation,
+            torque_quantised=arm.torque_lsb > 0.0,
             nominal_coulomb=arm.coulomb,
             nominal_damping=arm.viscous,
         )
@@ -179,7 +183,7 @@ def test_numbers_of_the_arm_compile_nothing_new() -> None:
 
 def test_an_arm_that_runs_away_is_a_status_with_its_time() -> None:
     """Masses believed twice as large double the loop's gain: on foam the margins, blind to it, call it stable."""
-    found = evaluate(BOTH, changed(TABLE, arm={"mass_error": 1.0, "torque_limit": (200.0,) * 4}))
+    found = evaluate(BOTH, changed(TABLE, arm={"mass_error": 1.0, "torque_limit": (200.0,) * 4, **UNLIMITED}))
     assert found.status[0, 2] == Status.DIVERGED
     assert 0.0 < found.when[0, 2] < 25.0
     assert np.isnan(np.asarray(found.metrics.rms)[0, 2]).all()
