@@ -55,7 +55,7 @@ def side_by_side(scenes: list[ScenarioData]) -> ScenarioData:
 
 def _axis_signals(experiment: Experiment) -> AxisSignals:
     heart, noise, wanted, score = (np.moveaxis(signal, 1, 0) for signal in experiment.signals)
-    return AxisSignals(*map(jnp.asarray, (heart, noise, _ahead(experiment, wanted), score)))
+    return AxisSignals(*(jnp.asarray(signal) for signal in (heart, noise, _ahead(experiment, wanted), score)))
 
 
 def _arm_signals(experiment: Experiment) -> ArmSignals:

@@ -4,6 +4,7 @@ The defaults are the nominal imperfect arm on the paper's elastic tissue. Every 
 itself with a zero.
 """
 
+from types import GenericAlias
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -54,9 +55,10 @@ class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def _key(constant: TissueConstant) -> tuple[str, Any, Any]:
     """Name, type and default of a key."""
-    number = Annotated[float, msgspec.Meta(ge=constant.low, le=constant.high)]
-    several = isinstance(constant.default, tuple)
-    return constant.name, tuple[(number,) * len(constant.default)] if several else number, constant.default
+    kind: Any = Annotated[float, msgspec.Meta(ge=constant.low, le=constant.high)]
+    if isinstance(constant.default, tuple):
+        kind = GenericAlias(tuple, (kind,) * len(constant.default))
+    return constant.name, kind, constant.default
 
 
 _TissueConstants: Any = msgspec.defstruct(
@@ -65,7 +67,7 @@ _TissueConstants: Any = msgspec.defstruct(
 """The constants of every law: each reads its own."""
 
 
-class TissueSettings(_TissueConstants, frozen=True, forbid_unknown_fields=True):  # type: ignore[misc]  # made above
+class TissueSettings(_TissueConstants, frozen=True, forbid_unknown_fields=True):  # type: ignore[misc,call-arg]  # made above
     """What the tip presses on; the stiffness itself is the experiment's, the constants are those of the laws."""
 
     kind: str = "elastic"

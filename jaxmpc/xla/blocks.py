@@ -61,7 +61,7 @@ class OverDevices:
         spec: Any = PartitionSpec
         split, whole = spec("device"), spec()
         self._devices = mesh.size
-        self._dealt = jax.jit(
+        self._dealt: Any = jax.jit(
             jax.shard_map(function, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False)
         )
 

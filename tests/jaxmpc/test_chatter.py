@@ -76,7 +76,7 @@ def test_frequency_gives_effort_and_chatter_of_the_linear_loop() -> None:
     path = experiment.loop_path()
     contacts = jax.vmap(lambda K2: jax.vmap(lambda K_s: contact_of(K_s, K2, path))(stiffness))(both.K2)
     scene, gains, spectrum = scenario_data(experiment), design(both), spectrum_of(experiment)
-    simulated, _ = step_by_step(gains, contacts, scene.lsb, scene.signals)
+    simulated, *_ = step_by_step(gains, contacts, scene.lsb, scene.signals)
 
     def in_frequency(gains: Any, contact: Any) -> Any:
         return effort_rms(gains, contact, spectrum), chatter_rms(gains, contact, spectrum)
