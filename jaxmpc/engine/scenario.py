@@ -55,7 +55,8 @@ def side_by_side(scenes: list[ScenarioData]) -> ScenarioData:
 
 def _axis_signals(experiment: Experiment) -> AxisSignals:
     heart, noise, wanted, score = (np.moveaxis(signal, 1, 0) for signal in experiment.signals)
-    return AxisSignals(*(jnp.asarray(signal) for signal in (heart, noise, _ahead(experiment, wanted), score)))
+    ahead: Any = jnp.asarray(_ahead(experiment, wanted))
+    return AxisSignals(jnp.asarray(heart), jnp.asarray(noise), ahead, jnp.asarray(score))
 
 
 def _arm_signals(experiment: Experiment) -> ArmSignals:
