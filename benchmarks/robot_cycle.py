@@ -66,8 +66,8 @@ def main() -> int:
     for (name, function), owner in zip(parts.items(), owners, strict=True):
         setattr(owner, function.__name__, timed[name])
 
-    def each(done: CycleResult) -> OperatorCommand:
-        if done.situation.state is OperatingState.ARMED and done.situation.cycles == 100:
+    def each(result: CycleResult) -> OperatorCommand:
+        if result.safety_state.state is OperatingState.ARMED and result.safety_state.cycles == 100:
             twin.press("activate")
         over = session.controller.contact_time >= args.seconds
         return OperatorCommand(True, True, Reason.FINISHED if over else Reason.NONE)
@@ -77,7 +77,7 @@ def main() -> int:
     gc.disable()
     ended = session.run(OperatorCommand(True, True), None, each)
     gc.enable()
-    print(f"{ended.situation.state}, {ended.situation.reason}; {ended.contact_cycles} cycles in contact")
+    print(f"{ended.safety_state.state}, {ended.safety_state.reason}; {ended.contact_cycles} cycles in contact")
     print(" " * 18 + "  elapsed: median      p99   own: median      p99  [µs]")
     for name, part in timed.items():
         rows = 1e-3 * np.array(part.took[-ended.contact_cycles :])

@@ -151,7 +151,7 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     operator = Operator(console, lambda: session.controller.contact_time, args.duration, auto or not keys, keys)
     each = _activating(clock.twin, operator.each) if args.lockstep else operator.each
     try:
-        ended = session.run(operator.wishes, watchdog, each)
+        ended = session.run(operator.command, watchdog, each)
     except BaseException:
         console.close()
         print(session.write(_recording(args.output), digest, SafetyState(OperatingState.FAULT, Reason.ERROR)))
@@ -160,8 +160,8 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     print(session.statistics.report())
     print("\n".join(session.notes()))
     if args.record or not ended.well:
-        print(session.write(_recording(args.output), digest, ended.situation))
-    print(f"ended: {ended.situation.state}, {ended.situation.reason} {ended.situation.detail}".rstrip())
+        print(session.write(_recording(args.output), digest, ended.safety_state))
+    print(f"ended: {ended.safety_state.state}, {ended.safety_state.reason} {ended.safety_state.detail}".rstrip())
     return 0 if ended.well else 1
 
 
@@ -186,10 +186,10 @@ def _activating(twin: Any, each: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Somebody at the twin's pendant, who activates it once it is armed."""
     from deploy.safety.machine import OperatingState
 
-    def watched(done: Any) -> Any:
-        if done.situation.state is OperatingState.ARMED and done.situation.cycles == ACTIVATED:
+    def watched(result: Any) -> Any:
+        if result.safety_state.state is OperatingState.ARMED and result.safety_state.cycles == ACTIVATED:
             twin.press("activate")
-        return each(done)
+        return each(result)
 
     return watched
 

@@ -35,7 +35,7 @@ class BeatPage:
 
     @property
     def fired(self) -> int:
-        """When the watchdog acted, 0 if never."""
+        """Time at which the watchdog acted [ns], 0 if never."""
         return self._times[_FIRED]
 
     @fired.setter
@@ -44,7 +44,7 @@ class BeatPage:
 
     @property
     def alive(self) -> int:
-        """When the watchdog last looked, 0 before the first time."""
+        """Time at which the watchdog last looked [ns], 0 before the first."""
         return self._times[_ALIVE]
 
     @alive.setter

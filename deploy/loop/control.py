@@ -27,7 +27,7 @@ LARGEST_ERROR = 0.02
 
 @dataclass(frozen=True)
 class Contacting:
-    """How the tissue is met and left."""
+    """Speeds, ways and forces of approach and retraction."""
 
     normal: Vector3 = (0.0, 0.0, 1.0)
     """From the tissue to the air, unit length, shoulder frame."""
@@ -55,7 +55,7 @@ class TaskController:
         ahead: int = 0,
         **stream: float,
     ) -> None:
-        """Take what is to be run.
+        """Take the law and its force reference.
 
         Args:
             runtime: The recorded law.
@@ -118,11 +118,11 @@ class TaskController:
         return False
 
     def along(self, start: Vector3, end: Vector3) -> float:
-        """Way from one point to another along the contact normal [m]."""
+        """Distance from one point to another along the contact normal [m]."""
         return sum(n * (b - a) for n, a, b in zip(self.contacting.normal, start, end, strict=True))
 
     def touching(self, force: Vector3 | None) -> bool:
-        """Whether the tip touches something: a tissue that holds it may as well pull, or drag it aside."""
+        """Whether the force is that of a contact: a tissue that holds the tip may as well pull, or drag it aside."""
         return force is not None and math.hypot(*force) > self.contacting.threshold
 
     @property
@@ -131,11 +131,11 @@ class TaskController:
         return self._samples * self._T_s
 
     def notes(self) -> list[str]:
-        """What the source of the wanted force has to say."""
+        """Notes of the force reference's source."""
         return self._source.notes()
 
     def _enter(self, force: Vector3, q: Vector4) -> None:
-        """Bumpless: observers start at the measured force, and so does the wanted one."""
+        """Enter contact without a bump: observers start at the measured force, and so does the wanted one."""
         self.runtime.enter(force, q)
         self._stream = Stream(self._source, self._T_s, force, **self._limits)
         self._samples = 0

@@ -1,4 +1,4 @@
-"""One cycle: from what the bus brought to the one frame that may be sent.
+"""One control cycle: from the measurements on the bus to the one torque frame that may be sent.
 
     reading ─► angles, force ─► plausible? ─► machine ─► task ─► torque ─► clamp ─► frame ─► checker ─► bus
 
@@ -33,12 +33,12 @@ SILENT = 100
 LATELY = 1000
 """Cycles for which lateness explains replies that do not come."""
 SETTLED = 0.5
-"""Time in contact [s] after which the observers' innovation tells something of the sensor."""
+"""Time in contact [s] after which the observers' innovation judges the sensor."""
 ASTRAY = 2.0
 """How far the force in contact never is from that which is wanted [N]: premature beats bring it to 1.4 N, a sensor with
 a wrong sign passes it within some milliseconds."""
 CHANGING = 0.2
-"""Time after an activation in which pucks may still tell their old mode [s]."""
+"""Time after an activation in which pucks may still report their old mode [s]."""
 JOINTS = ("J1", "J2 and J3 (motor 2)", "J2 and J3 (motor 3)", "J4")
 _STRICTNESS = {task: Strictness.SAFE for task in Task} | {
     Task.OFF: Strictness.OFF,
@@ -48,7 +48,7 @@ _STRICTNESS = {task: Strictness.SAFE for task in Task} | {
 
 
 class OperatorCommand(NamedTuple):
-    """What the operator wants, as far as a cycle must know."""
+    """Command of the operator in a cycle."""
 
     armed: bool = False
     start: bool = False
@@ -56,7 +56,7 @@ class OperatorCommand(NamedTuple):
 
 
 class CycleTiming(NamedTuple):
-    """What the clock and the watchdog say of a cycle."""
+    """Timing of a cycle, and the watchdog's verdict."""
 
     missed: int = 0
     """Cycles left out before this one."""
@@ -67,25 +67,25 @@ class CycleTiming(NamedTuple):
 
 
 class CycleResult(NamedTuple):
-    """What a cycle came to; angles and forces are those that were used."""
+    """Result of a control cycle; angles and forces are those that were used."""
 
     frame: Frame
-    situation: SafetyState
+    safety_state: SafetyState
     task: Task
     clamp: Clamp
     q: Vector4
     qd: Vector4
-    where: TipKinematics
+    kinematics: TipKinematics
     force: Vector3 | None
-    """On the tissue, in the world's axes [N]."""
+    """Measured force on the tissue, in the world's axes [N]."""
     wanted: Vector4
-    """Before the clamp [N m]."""
+    """Joint torques before the clamp [N m]."""
     applied: Vector4
-    """Behind it [N m]."""
+    """Joint torques after the clamp [N m]."""
 
 
 class Cycle:
-    """The robot side of a run, but for time."""
+    """Runs the control cycle of the robot, apart from its timing."""
 
     def __init__(
         self,
@@ -94,11 +94,11 @@ class Cycle:
         limits: Limits,
         T_s: float,
         tool_length: float,
-        whereabouts: Callable[[Vector4, Vector4], TipKinematics],
+        tip_kinematics: Callable[[Vector4, Vector4], TipKinematics],
         turns: bool = True,
         hook: Callable[[Vector3], Vector3] | None = None,
     ) -> None:
-        """Put the parts together, before motion.
+        """Assemble the cycle before motion.
 
         Args:
             arm: Started.
@@ -106,7 +106,7 @@ class Cycle:
             limits: What may not be exceeded.
             T_s: Sampling time [s].
             tool_length: From the elbow's frame to the tip [m].
-            whereabouts: Of tip and tool, as `deploy.wam.tip_pose.tip_kinematics` makes it.
+            tip_kinematics: Motion of tip and tool, as `deploy.wam.tip_pose.tip_kinematics` makes it.
             turns: Whether the force sensor turns with the tool; else it keeps its direction in the world.
             hook: What becomes of a measured force on its way, to inject faults that no CAN frame can hold.
 
@@ -115,11 +115,11 @@ class Cycle:
         """
         pucks = arm.pucks
         self.arm, self.controller, self.limits = arm, controller, limits
-        self.situation = SafetyState()
+        self.safety_state = SafetyState()
         self.checker = Checker(limits, T_s, pucks.ipnm, (1, 2, 3, 4), tool_length)
         self._bounds = bounds(limits, T_s, pucks.ipnm)
-        self._turns, self._hook, self._T_s, self._where = turns, hook, T_s, whereabouts
-        self._angles = EncoderBridge(arm.counts)
+        self._turns, self._hook, self._T_s, self._tip_kinematics = turns, hook, T_s, tip_kinematics
+        self._bridge = EncoderBridge(arm.counts)
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
         self._age, self._foreign, self._busy, self._active = [0] * 4, arm.bus.counters.foreign, 0, 0
@@ -128,20 +128,20 @@ class Cycle:
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
 
-    def step(self, reading: Reading, timing: CycleTiming, wishes: OperatorCommand) -> CycleResult:
-        """Decide what is sent.
+    def step(self, reading: Reading, timing: CycleTiming, command: OperatorCommand) -> CycleResult:
+        """Decide the frame of a cycle.
 
         Args:
-            reading: Of this cycle.
-            timing: Of this cycle.
-            wishes: Of the operator.
+            reading: Measurements of this cycle.
+            timing: Timing of this cycle.
+            command: Command of the operator.
         """
         runtime = self.controller.runtime
         danger, age, oldest = self._positions(reading, timing.missed)
         q = self._q
         qd = runtime.velocity(q) if age <= machine.BRIDGED else ZERO
-        where = self._where(q, qd)
-        force, doubt = self._force(reading, where)
+        kinematics = self._tip_kinematics(q, qd)
+        force, doubt = self._force(reading, kinematics)
         late = self._lately(timing)
         if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and late):
             danger = Reason.LATE
@@ -150,7 +150,7 @@ class Cycle:
         hazard, detail = self._hazard(reading, timing.hazard, late)
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
-        seen = Observations(
+        observed = Observations(
             hazard,
             age,
             danger,
@@ -158,17 +158,17 @@ class Cycle:
             detail,
             self._active > 0,
             self.controller.touching(force),
-            self.controller.travelled(where.tip),
-            *wishes,
+            self.controller.travelled(kinematics.tip),
+            *command,
         )
-        self.situation = machine.step(self.situation, seen)
-        return self._send(q, qd, where, force, age)
+        self.safety_state = machine.step(self.safety_state, observed)
+        return self._send(q, qd, kinematics, force, age)
 
-    def _send(self, q: Vector4, qd: Vector4, where: TipKinematics, force: Vector3 | None, age: int) -> CycleResult:
-        """The frame of the task, or of the lesser one that its refusal leads to."""
+    def _send(self, q: Vector4, qd: Vector4, kinematics: TipKinematics, force: Vector3 | None, age: int) -> CycleResult:
+        """Result with the frame of the task, or of the lesser task that a refusal leads to."""
         while True:
-            task = machine.task_of(self.situation, age)
-            wanted = self.controller.torque(task, q, qd, where.tip, where.velocity, force)
+            task = machine.task_of(self.safety_state, age)
+            wanted = self.controller.torque(task, q, qd, kinematics.tip, kinematics.velocity, force)
             applied, acted = (ZERO, NOTHING) if task is Task.OFF else clamp(wanted, self.checker.torque, self._bounds)
             frame = self.arm.torque_frame(applied)
             drive = task is not Task.OFF
@@ -176,17 +176,17 @@ class Cycle:
             if refusal is None or not drive:
                 break
             refused = Observations(hazard=refusal) if refusal.lets_go else Observations(danger=refusal)
-            self.situation = machine.step(self.situation, refused)
-            if machine.task_of(self.situation, age) is task:
-                self.situation = SafetyState(
+            self.safety_state = machine.step(self.safety_state, refused)
+            if machine.task_of(self.safety_state, age) is task:
+                self.safety_state = SafetyState(
                     OperatingState.FAULT, Reason.STATE, f"{task} was refused: {refusal}", let_go=True
                 )
         if task is Task.CONTROL:
             self.controller.runtime.applied(applied)
-        return CycleResult(frame, self.situation, task, acted, q, qd, where, force, wanted, applied)
+        return CycleResult(frame, self.safety_state, task, acted, q, qd, kinematics, force, wanted, applied)
 
     def _positions(self, reading: Reading, missed: int) -> tuple[Reason, int, int]:
-        """Take positions; what is wrong with them, the age of the oldest, and which motor's it is."""
+        """Take positions; the reason to distrust them, the age of the oldest [cycles], and its motor (0–3)."""
         counts = reading.counts
         self._encoders, reason, culprit = encoder_step(
             self._encoders, counts, self._counts_per_turn, self._T_s * (1 + missed)
@@ -198,23 +198,23 @@ class Cycle:
         age = max(self._age)
         oldest = culprit if reason is not None else self._age.index(age)
         if age <= machine.BRIDGED:
-            for between in self._angles.take(counts, missed):
+            for between in self._bridge.take(counts, missed):
                 q = self.arm.pucks.angles(between)
-                if between is not self._angles.counts:
+                if between is not self._bridge.counts:
                     self.controller.runtime.velocity(q)
             if (joint := beyond_stop(q)) >= 0:
                 return Reason.ENCODER_RANGE, age, joint
             self._q = q
         return reason or Reason.NONE, age, oldest
 
-    def _force(self, reading: Reading, where: TipKinematics) -> tuple[Vector3 | None, Reason]:
-        """The force on the tissue in the world's axes, if it can be trusted, and else why not."""
+    def _force(self, reading: Reading, kinematics: TipKinematics) -> tuple[Vector3 | None, Reason]:
+        """Force on the tissue in the world's axes [N], and the reason to distrust it."""
         raw = reading.force
         if raw is not None and self._hook is not None:
             raw = self._hook(raw)
         controller, innovation = self.controller, None
-        contact = self.situation.state is OperatingState.CONTACT and controller.contact_time > SETTLED
-        turned = where.turned(raw) if raw is not None and self._turns else raw
+        contact = self.safety_state.state is OperatingState.CONTACT and controller.contact_time > SETTLED
+        turned = kinematics.turned(raw) if raw is not None and self._turns else raw
         if contact and turned is not None and isfinite(sum(turned)):
             x, y, z = controller.runtime.prediction
             innovation = turned[0] - x, turned[1] - y, turned[2] - z
@@ -226,11 +226,11 @@ class Cycle:
         x, y, z = turned
         if x * x + y * y + z * z > self.limits.force**2:
             return turned, Reason.FORCE
-        astray = self.situation.state is OperatingState.CONTACT and dist(turned, controller.force_ref) > ASTRAY
+        astray = self.safety_state.state is OperatingState.CONTACT and dist(turned, controller.force_ref) > ASTRAY
         return turned, Reason.FORCE_MODEL if astray else Reason.NONE
 
     def _hazard(self, reading: Reading, hazard: Reason, late: bool) -> tuple[Reason, str]:
-        """What forbids to drive the arm, and what of it."""
+        """Reason that forbids to drive the arm, and its detail."""
         if hazard is not Reason.NONE:
             return hazard, ""
         bus = self.arm.bus

@@ -32,7 +32,7 @@ STATES, REASONS = tuple(OperatingState), tuple(Reason)
 
 
 class Watching(Protocol):
-    """A watchdog."""
+    """Watchdog as the loop uses it."""
 
     @property
     def fired(self) -> bool:
@@ -50,23 +50,23 @@ class Watching(Protocol):
 
 @dataclass(frozen=True)
 class RunResult:
-    """How a run ended."""
+    """State in which a run ended, and its time in contact."""
 
-    situation: SafetyState
+    safety_state: SafetyState
     contact_cycles: int
-    """Spent in contact."""
+    """Cycles spent in contact."""
 
     @property
     def well(self) -> bool:
-        """Whether it ended because it was to end."""
-        return self.situation.state is OperatingState.STOPPED and self.situation.reason in (
+        """Whether the run ended as planned, by time or operator."""
+        return self.safety_state.state is OperatingState.STOPPED and self.safety_state.reason in (
             Reason.FINISHED,
             Reason.OPERATOR,
         )
 
 
 class Loop:
-    """Runs cycles."""
+    """Runs a control cycle per period until the arm has been let go."""
 
     def __init__(
         self,
@@ -78,15 +78,15 @@ class Loop:
         each: Callable[[CycleResult], OperatorCommand],
         log: Callable[..., None] | None = None,
     ) -> None:
-        """Put it together.
+        """Assemble the loop.
 
         Args:
-            cycle: What is done in each.
+            cycle: Control cycle.
             clock: The bus's own.
             period: [ns]
             recorder: Takes a row of every cycle.
             watchdog: Standing by; None only where time is simulated.
-            each: Shown what every cycle came to; says what the operator wants next.
+            each: Takes the result of every cycle, returns the operator's next command.
             log: Takes every torque frame sent and its time.
         """
         self._cycle, self._clock, self._period = cycle, clock, period
@@ -94,20 +94,20 @@ class Loop:
         self.statistics = Statistics(period)
         self._contact = 0
 
-    def run(self, wishes: OperatorCommand) -> RunResult:
+    def run(self, command: OperatorCommand) -> RunResult:
         """Run until the arm has been let go.
 
         Args:
-            wishes: Of the operator, at first.
+            command: First command of the operator.
         """
         try:
-            return self._run(wishes)
+            return self._run(command)
         except BaseException:
             # A defect of this program: whatever it is, the arm is let go before anybody reads about it.
             self._let_go(self._clock.now())
             raise
 
-    def _run(self, wishes: OperatorCommand) -> RunResult:
+    def _run(self, command: OperatorCommand) -> RunResult:
         clock, arm, statistics = self._clock, self._cycle.arm, self.statistics
         deadline = started = last = clock.now() + self._period
         late, over = False, 0
@@ -120,25 +120,25 @@ class Loop:
             arm.request()
             reading = arm.collect(woke + int(REPLIES * self._period))
             timing = CycleTiming(missed, late, self._judged(woke, missed))
-            done = self._cycle.step(reading, timing, wishes)
-            self._send(done, woke)
+            result = self._cycle.step(reading, timing, command)
+            self._send(result, woke)
             if self._watchdog is not None:
-                self._watchdog.beat(woke, done.task is not Task.OFF)
-            if done.situation.state is OperatingState.CONTACT:
+                self._watchdog.beat(woke, result.task is not Task.OFF)
+            if result.safety_state.state is OperatingState.CONTACT:
                 self._contact += 1
-            if done.clamp.acted:
-                self._count(done.clamp)
-            wishes = self._each(done)
+            if result.clamp.acted:
+                self._count(result.clamp)
+            command = self._each(result)
             ended = clock.now()
-            self._recorder.append(self._row(done, reading, woke - started, woke - deadline, ended - woke))
+            self._recorder.append(self._row(result, reading, woke - started, woke - deadline, ended - woke))
             deadline, late = statistics.cycle(deadline, woke, ended)
-            over = over + 1 if done.situation.over else 0
-            if over > (letting_go if done.task is Task.OFF else linger):
+            over = over + 1 if result.safety_state.over else 0
+            if over > (letting_go if result.task is Task.OFF else linger):
                 self._let_go(deadline)
-                return RunResult(done.situation, self._contact)
+                return RunResult(result.safety_state, self._contact)
 
     def _let_go(self, deadline: int) -> None:
-        """Zero torque and idle, several times."""
+        """Send zero torque and idle, several times."""
         arm = self._cycle.arm
         zero = arm.torque_frame((0.0, 0.0, 0.0, 0.0))
         for i in range(round(LETTING_GO * 1e9 / self._period)):
@@ -150,8 +150,8 @@ class Loop:
             if self._watchdog is not None:
                 self._watchdog.beat(self._clock.now(), False)
 
-    def _send(self, done: CycleResult, woke: int) -> None:
-        arm, now, frame = self._cycle.arm, self._clock.now(), done.frame
+    def _send(self, result: CycleResult, woke: int) -> None:
+        arm, now, frame = self._cycle.arm, self._clock.now(), result.frame
         # Stopped between measuring and sending, this cycle must not act on what is old by now.
         if now - woke > HELD * self._period or (self._watchdog is not None and self._watchdog.fired):
             frame = arm.torque_frame((0.0, 0.0, 0.0, 0.0))
@@ -160,9 +160,9 @@ class Loop:
             self._log(frame, now, True)
         # An undriven puck left in torque mode would go on with the last command it heard.
         if (
-            done.task is Task.OFF
-            and done.situation.state is OperatingState.FAULT
-            and done.situation.cycles % IDLE_EVERY == 0
+            result.task is Task.OFF
+            and result.safety_state.state is OperatingState.FAULT
+            and result.safety_state.cycles % IDLE_EVERY == 0
         ):
             self._idle()
 
@@ -172,7 +172,7 @@ class Loop:
             self._cycle.arm.bus.send(frame)
 
     def _judged(self, woke: int, missed: int) -> Reason:
-        """What clock and watchdog forbid, once the replies are there."""
+        """Reason of the clock or the watchdog to stop, once the replies are there."""
         now = self._clock.now()
         if missed > HELD or now - woke > HELD * self._period:
             return Reason.STALLED
@@ -188,29 +188,29 @@ class Loop:
             if acted:
                 self.statistics.tally("clamps", name)
 
-    def _row(self, done: CycleResult, reading: Reading, since: int, lateness: int, compute: int) -> tuple[float, ...]:
+    def _row(self, result: CycleResult, reading: Reading, since: int, lateness: int, compute: int) -> tuple[float, ...]:
         """A row of `deploy.flight.recorder.COLUMNS`."""
         controller, arm = self._cycle.controller, self._cycle.arm
         runtime = controller.runtime
         nan = float("nan")
         return (
             1e-9 * since,
-            *(done.force or (nan, nan, nan)),
+            *(result.force or (nan, nan, nan)),
             *controller.force_ref,
             *runtime.u,
             *runtime.last_v,
             *runtime.last_a,
             *runtime.p_hat,
             runtime.gain,
-            *done.where.tip,
-            *done.q,
+            *result.kinematics.tip,
+            *result.q,
             *self._cycle.checker.torque,
-            *done.qd,
-            *done.wanted,
-            *done.applied,
-            STATES.index(done.situation.state),
-            REASONS.index(done.situation.reason),
-            float(sum(1 << i for i, acted in enumerate(done.clamp) if acted)),
+            *result.qd,
+            *result.wanted,
+            *result.applied,
+            STATES.index(result.safety_state.state),
+            REASONS.index(result.safety_state.reason),
+            float(sum(1 << i for i, acted in enumerate(result.clamp) if acted)),
             *arm.counts,
             *reading.position_age,
             reading.force_age,

@@ -1,4 +1,4 @@
-"""The person at the arm: what is shown to them, and what they want, without the loop ever waiting for either."""
+"""The operator at the arm: messages shown and commands taken, without the loop ever waiting for either."""
 
 import signal
 import sys
@@ -57,12 +57,12 @@ class Console:
 
 
 class Operator:
-    """What the operator wants, cycle by cycle, from keys, Ctrl-C and the end of the experiment."""
+    """Operator commands, cycle by cycle, from keys, Ctrl-C and the end of the experiment."""
 
     def __init__(
         self, console: Console, contact_time: Callable[[], float], duration: float, start: bool, keys: bool
     ) -> None:
-        """Listen.
+        """Listen to signals and keys.
 
         Args:
             console: Where changes are shown.
@@ -81,21 +81,21 @@ class Operator:
             threading.Thread(target=self._listen, name="keys", daemon=True).start()
 
     @property
-    def wishes(self) -> OperatorCommand:
-        """What is wanted now."""
+    def command(self) -> OperatorCommand:
+        """Command of the operator at this moment."""
         if self._stop:
             return OperatorCommand(True, self._start, Reason.OPERATOR)
         return OperatorCommand(
             True, self._start, Reason.FINISHED if self._contact_time() >= self._duration else Reason.NONE
         )
 
-    def each(self, done: CycleResult) -> OperatorCommand:
-        """Show what has changed; say what is wanted."""
-        now = done.situation
-        if (showing := (now.state, now.reason, done.task)) != self._shown:
+    def each(self, result: CycleResult) -> OperatorCommand:
+        """Show a changed state; return the operator's command."""
+        now = result.safety_state
+        if (showing := (now.state, now.reason, result.task)) != self._shown:
             self._shown, self._state = showing, now.state
-            self._console.say(_line(done))
-        return self.wishes
+            self._console.say(_line(result))
+        return self.command
 
     def _interrupted(self, number: int, frame: FrameType | None) -> None:
         self._stop = True
@@ -107,14 +107,14 @@ class Operator:
                 self._console.say("Enter: the approach begins once the pendant has activated the arm")
             elif self._state not in (OperatingState.IDLE, OperatingState.ARMED):
                 self._stop = True
-            time.sleep(0.2)  # a key that is held down is one wish
+            time.sleep(0.2)  # a key that is held down is one press
 
 
-def _line(done: CycleResult) -> str:
-    now = done.situation
+def _line(result: CycleResult) -> str:
+    now = result.safety_state
     text = _SAID.get(now.state, str(now.state))
     if now.reason is not Reason.NONE:
         text += f" ({now.reason}{': ' + now.detail if now.detail else ''}): {EXPLANATION[now.reason]}"
     if now.state is OperatingState.FAULT:
-        text += f" The arm {_ENDS.get(done.task, 'is held against gravity')}."
+        text += f" The arm {_ENDS.get(result.task, 'is held against gravity')}."
     return text

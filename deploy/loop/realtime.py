@@ -27,7 +27,7 @@ _MCL_CURRENT, _MCL_FUTURE, _PR_SET_TIMERSLACK = 1, 2, 29
 
 
 class Granted(NamedTuple):
-    """What became of one request to the system."""
+    """Outcome of one request to the system."""
 
     ok: bool
     sentence: str

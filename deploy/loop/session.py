@@ -45,7 +45,7 @@ STILL = 0.5
 
 @dataclass(frozen=True)
 class Options:
-    """How a controller is run.
+    """Options of a run.
 
     Attributes:
         source: Wanted force on the tissue since contact.
@@ -131,32 +131,32 @@ class Session:
         self.statistics = Statistics(round(1e9 * artifact.T_s))
 
     def run(
-        self, wishes: OperatorCommand, watchdog: Watching | None, each: Callable[[CycleResult], OperatorCommand]
+        self, command: OperatorCommand, watchdog: Watching | None, each: Callable[[CycleResult], OperatorCommand]
     ) -> RunResult:
         """Cycle until the arm has been let go.
 
         Args:
-            wishes: Of the operator, at first.
+            command: First command of the operator.
             watchdog: Standing by; None only where time is simulated.
-            each: Shown what every cycle came to; says what the operator wants next.
+            each: Takes the result of every cycle, returns the operator's next command.
         """
         period = round(1e9 * self.artifact.T_s)
         loop = Loop(self.cycle, self._clock, period, self.recorder, watchdog, each, self._options.log)
         self.statistics = loop.statistics
-        return loop.run(wishes)
+        return loop.run(command)
 
-    def write(self, path: Path, digest: str, situation: SafetyState) -> str:
+    def write(self, path: Path, digest: str, safety_state: SafetyState) -> str:
         """Write the flight recording; a sentence on what became of it.
 
         Args:
-            path: Where to.
+            path: File to write.
             digest: sha256 of the controller.
-            situation: In which it ended.
+            safety_state: State in which the run ended.
         """
         header = {
             "artifact": digest,
-            "reason": str(situation.reason),
-            "detail": situation.detail,
+            "reason": str(safety_state.reason),
+            "detail": safety_state.detail,
             "T_s": self.artifact.T_s,
             "names": {
                 "state": list(map(str, STATES)),
@@ -167,7 +167,7 @@ class Session:
         return self.recorder.write(path, header)
 
     def notes(self) -> list[str]:
-        """What was counted besides cycles."""
+        """Notes on what was counted besides cycles."""
         arm, counters = self.arm, self.arm.bus.counters
         bus = f"bus: {counters.sent} frames sent, {counters.received} received, {counters.foreign} foreign"
         bus += f", {counters.malformed + arm.malformed} malformed, {counters.send_errors} refused"
@@ -182,7 +182,7 @@ def largest_wanted(artifact: Artifact) -> float:
 
 
 def _standing(arm: WamArm, posture: Any) -> None:
-    """The arm is where the controller's margins hold."""
+    """Refuse a posture at which the controller's margins do not hold."""
     for i, (angle, wanted) in enumerate(zip(arm.pucks.angles(arm.counts), posture, strict=True), start=1):
         if abs(angle - wanted) > NEAR:
             where = f"joint {i} stands at {angle:.2f} rad, the controller was made for {wanted:.2f} ± {NEAR:g}"

@@ -1,4 +1,4 @@
-"""What the loop did, counted while it runs: how punctual, how fast, how often clamped.
+"""Statistics of the running loop: lateness, computing time, clamped cycles.
 
 Counters have a fixed size from the start, so counting neither collects nor grows.
 """
@@ -77,7 +77,7 @@ class Histogram:
 
 
 class Statistics:
-    """Counters of the loop."""
+    """Counts cycles, lateness, computing times and events of the loop."""
 
     def __init__(self, period: int) -> None:
         """Begin counting.

@@ -25,7 +25,7 @@ class WatchdogError(ValueError):
 
 
 class Watchdog:
-    """The controller's end."""
+    """The controller's end of the watchdog."""
 
     def __init__(self, bus_flags: Sequence[str], timeout_ms: float = TIMEOUT_MS, ready_within: float = 15.0) -> None:
         """Start the process and wait until it stands by.
@@ -77,11 +77,11 @@ class Watchdog:
 
     @property
     def fired(self) -> bool:
-        """Whether it has acted; then it stays so, and no torque may be sent."""
+        """Whether the watchdog has acted; then it stays so, and no torque may be sent."""
         return self._page.fired != 0
 
     def answers(self, now: int) -> bool:
-        """Whether it has itself looked within the last 100 ms of `time.monotonic_ns()`; else stop."""
+        """Whether the watchdog has itself looked within the last 100 ms of `time.monotonic_ns()`; else stop."""
         return now - self._page.alive < _STALE_NS
 
     def close(self) -> None:

@@ -40,7 +40,7 @@ _POLL_MS = 1
 
 
 def overdue(beat: int, now: int, timeout_ns: int, closed: bool) -> str:
-    """Why the arm must be lowered; empty if it must not.
+    """Reason to lower the arm; empty if there is none.
 
     Args:
         beat: Time of the last beat [ns], negative while torques are off, 0 before the first.

@@ -1,1 +1,1 @@
-"""What stands between the controller and the bus: limits applied, then checked again by other means."""
+"""Safety layer between controller and bus: limits applied, then checked again by other means."""

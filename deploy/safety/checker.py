@@ -24,7 +24,7 @@ SENSOR, SAFETY_MODULE, ALL_PUCKS, WAM = 8, 10, 0x400, 0x404
 
 
 class Strictness(StrEnum):
-    """What a torque frame is for, and so what is asked of it."""
+    """Purpose of a torque frame, and with it the checks that it must pass."""
 
     CONTROL = "control"
     """The law drives: everything is checked."""
@@ -36,7 +36,7 @@ class Strictness(StrEnum):
 
 
 class Checker:
-    """Refuses what must not be sent; knows the last frame that it let pass.
+    """Refuses torque frames that break a limit; knows the last frame that it let pass.
 
     Attributes:
         torque: Joint torques of that frame [N m]: what acts on the arm now.
@@ -81,16 +81,16 @@ class Checker:
         force: Vector3 | None,
         position_age: int,
     ) -> Reason | None:
-        """Why a torque frame must not be sent, or None; then it counts as sent.
+        """Reason to refuse a torque frame, or None; then it counts as sent.
 
         Args:
-            frame: What is about to be sent.
+            frame: Frame about to be sent.
             may_drive: Whether the pendant has activated the pucks and nothing forbids torque.
-            strictness: What it is for.
+            strictness: Purpose of the frame.
             q: Joint angles [rad].
             qd: Joint velocities [rad/s].
             force: Measured force on the tissue [N]; None in a cycle without one.
-            position_age: Of the oldest position [cycles].
+            position_age: Age of the oldest position [cycles].
         """
         motors = self._decoded(frame)
         if motors is None:
@@ -170,7 +170,7 @@ class Checker:
 
 
 def check_service(frame: Frame) -> Reason | None:
-    """Why any other frame must not be sent in motion, or None.
+    """Reason to refuse any other frame in motion, or None.
 
     Allowed are questions, the tare of the force sensor, and what lowers the arm's state: nothing that raises it, and
     no torque.

@@ -39,7 +39,7 @@ class Bounds(NamedTuple):
 
 
 class Clamp(NamedTuple):
-    """Which limits acted."""
+    """Limits that acted."""
 
     finite: bool = False
     """A wanted torque was not a finite number; zero torque was wanted instead."""
@@ -58,7 +58,7 @@ NOTHING = Clamp()
 
 
 def bounds(limits: Limits, T_s: float, ipnm: Sequence[float]) -> Bounds:
-    """What `clamp` needs, once before motion.
+    """Bounds for `clamp`, computed once before motion.
 
     Args:
         limits: What may not be exceeded.
@@ -138,7 +138,7 @@ def _share(t2: float, t3: float, within: Bounds) -> float:
 
 
 def _towards(t2: float, t3: float, last2: float, last3: float, within: Bounds) -> tuple[float, float]:
-    """As far as the rate allows from the torques sent last to those of joints 2 and 3 that the motors can bear."""
+    """Torques of joints 2 and 3 that the motors can bear, as near as the rate allows from those sent last."""
     _, most2, most3, _ = within.torque
     _, step2, step3, _ = within.step
     shrink = min(_share(last2, last3, within), most2 / max(abs(last2), most2), most3 / max(abs(last3), most3))

@@ -1,4 +1,4 @@
-"""Where the tip is and how fast: the safety layer's own kinematics, apart from those of the controller.
+"""Kinematics of tip and elbow: the safety layer's own, apart from those of the controller.
 
 The DH table of the 4-DoF WAM (wam.md §1.1), multiplied out by hand. Joints turn about z, y, z, y; with offsets
 b = 0.045 m and the upper arm's length l = 0.55 m the tip lies, in the frame of the twisted upper arm, in its plane at

@@ -1,9 +1,9 @@
-"""What the arm may do: states, the one way up, the many ways down.
+"""State machine of the arm: states, the one way up, the many ways down.
 
     IDLE → ARMED → APPROACH → CONTACT → RETRACT → STOPPED
       any of them → FAULT
 
-A situation only ever moves along these arrows. RETRACT, STOPPED and FAULT never lead back: whoever wants to go on
+A safety state only ever moves along these arrows. RETRACT, STOPPED and FAULT never lead back: whoever wants to go on
 starts anew, with arming and the pendant. Each way down carries its reason; nothing here raises.
 """
 
@@ -16,7 +16,7 @@ BRIDGED = 2
 """Age of a position up to which it still controls, extrapolated [cycles]."""
 HELD = 20
 """Age up to which gravity is still compensated at the last positions [cycles]; beyond it the arm is let go."""
-TOUCHED = 3
+CONTACT_CYCLES = 3
 """Cycles in a row above the contact threshold that make a contact."""
 BRAKES = frozenset({Reason.JOINT_VELOCITY, Reason.TIP_VELOCITY, Reason.ELBOW_VELOCITY, Reason.WORKSPACE})
 """Faults after which the arm brakes and withdraws while its positions are fresh: one that only bears its weight coasts
@@ -36,7 +36,7 @@ class OperatingState(StrEnum):
 
 
 class Task(StrEnum):
-    """What the torques of a cycle are for."""
+    """Purpose of the torques of a cycle."""
 
     OFF = "off"
     """None; the pucks are sent to idle."""
@@ -49,7 +49,7 @@ class Task(StrEnum):
 
 
 class Observations(NamedTuple):
-    """What a cycle saw, as far as it may change the state."""
+    """Observations of a cycle that may change the safety state."""
 
     hazard: Reason = Reason.NONE
     """The arm cannot or must not be driven: e-stop, pendant, puck, bus, a stall, a refused frame."""
@@ -60,11 +60,11 @@ class Observations(NamedTuple):
     doubt: Reason = Reason.NONE
     """The force cannot be trusted or is too high, or the computer is late: contact must end."""
     detail: str = ""
-    """What of it, as the joint whose position is missing."""
+    """Detail, as the joint whose position is missing."""
     active: bool = False
     """The pendant has activated the pucks."""
     touching: bool = False
-    """The force is above what is a contact."""
+    """The force is above the contact threshold."""
     travelled: bool = False
     """The approach or the retraction has gone as far as it may."""
     armed: bool = True
@@ -76,21 +76,21 @@ class Observations(NamedTuple):
 
 
 class SafetyState(NamedTuple):
-    """OperatingState, since when, and why."""
+    """Operating state of the arm, the cycles spent in it, and the reason for it."""
 
     state: OperatingState = OperatingState.IDLE
     reason: Reason = Reason.NONE
     detail: str = ""
     cycles: int = 0
-    """Spent in this state."""
-    touched: int = 0
-    """Cycles in a row, up to now, in which the tip touched."""
+    """Cycles spent in this state."""
+    contact_cycles: int = 0
+    """Cycles in a row, up to now, with a force above the contact threshold."""
     let_go: bool = False
     """Whether the arm has been let go, once and for all."""
 
     @property
     def over(self) -> bool:
-        """Whether nothing leads on from here."""
+        """Whether the state is final."""
         return self.state in (OperatingState.STOPPED, OperatingState.FAULT)
 
 
@@ -105,22 +105,22 @@ _TASKS = {
 }
 
 
-def step(now: SafetyState, seen: Observations) -> SafetyState:
-    """The situation of a cycle.
+def step(now: SafetyState, observed: Observations) -> SafetyState:
+    """The safety state after a cycle.
 
     Args:
-        now: That of the last one.
-        seen: What this cycle saw; the gravest of it decides.
+        now: State after the last cycle.
+        observed: Observations of this cycle; the gravest decides.
     """
-    state, reason = _next(now, seen)
+    state, reason = _next(now, observed)
     if state is now.state and reason is now.reason:
-        return now._replace(cycles=now.cycles + 1, touched=now.touched + 1 if seen.touching else 0)
-    detail = now.detail if reason is now.reason else seen.detail
+        return now._replace(cycles=now.cycles + 1, contact_cycles=now.contact_cycles + 1 if observed.touching else 0)
+    detail = now.detail if reason is now.reason else observed.detail
     return SafetyState(state, reason, detail, let_go=now.let_go or reason.lets_go)
 
 
 def task_of(now: SafetyState, position_age: int) -> Task:
-    """What to do in a situation with positions of this age [cycles]."""
+    """Task in a safety state with positions of this age [cycles]."""
     if now.let_go or position_age > HELD:
         return Task.OFF
     task = _TASKS[now.state]
@@ -129,44 +129,44 @@ def task_of(now: SafetyState, position_age: int) -> Task:
     return Task.GRAVITY if position_age > BRIDGED and task is not Task.OFF else task
 
 
-def _next(now: SafetyState, seen: Observations) -> tuple[OperatingState, Reason]:
+def _next(now: SafetyState, observed: Observations) -> tuple[OperatingState, Reason]:
     state, reason = now.state, now.reason
-    found = _gravest(seen)
+    found = _gravest(observed)
     if state is OperatingState.FAULT:
-        if reason is Reason.POSITION_LOST and seen.danger is Reason.LATE:
+        if reason is Reason.POSITION_LOST and observed.danger is Reason.LATE:
             return state, Reason.LATE  # they were not lost, as shows only now
         # Only what lets the arm go may replace a reason to hold it.
         return (state, found) if found.lets_go and not now.let_go else (state, reason)
     if state is OperatingState.IDLE:
         return (
             (OperatingState.ARMED, Reason.NONE)
-            if seen.armed and found is Reason.NONE and seen.position_age == 0
+            if observed.armed and found is Reason.NONE and observed.position_age == 0
             else (state, reason)
         )
     if found is not Reason.NONE:
         return OperatingState.FAULT, found
-    leave = seen.doubt if seen.doubt is not Reason.NONE else seen.finish
+    leave = observed.doubt if observed.doubt is not Reason.NONE else observed.finish
     if state is OperatingState.ARMED:
         if leave is not Reason.NONE:
             return OperatingState.STOPPED, leave
-        return (OperatingState.APPROACH, reason) if seen.active and seen.start else (state, reason)
+        return (OperatingState.APPROACH, reason) if observed.active and observed.start else (state, reason)
     if state in (OperatingState.APPROACH, OperatingState.CONTACT) and leave is not Reason.NONE:
         return OperatingState.RETRACT, leave
     if state is OperatingState.APPROACH:
-        if seen.touching and now.touched + 1 >= TOUCHED:
+        if observed.touching and now.contact_cycles + 1 >= CONTACT_CYCLES:
             return OperatingState.CONTACT, reason
-        return (OperatingState.RETRACT, Reason.NO_CONTACT) if seen.travelled else (state, reason)
-    if state is OperatingState.RETRACT and seen.travelled:
+        return (OperatingState.RETRACT, Reason.NO_CONTACT) if observed.travelled else (state, reason)
+    if state is OperatingState.RETRACT and observed.travelled:
         return OperatingState.STOPPED, reason
     return state, reason
 
 
-def _gravest(seen: Observations) -> Reason:
-    """What makes a fault, if anything does."""
-    if seen.hazard is not Reason.NONE:
-        return seen.hazard
-    if seen.position_age > HELD:
+def _gravest(observed: Observations) -> Reason:
+    """Gravest reason for a fault, NONE if there is none."""
+    if observed.hazard is not Reason.NONE:
+        return observed.hazard
+    if observed.position_age > HELD:
         return Reason.POSITION_LOST
-    if seen.danger is Reason.NONE and seen.position_age > BRIDGED:
+    if observed.danger is Reason.NONE and observed.position_age > BRIDGED:
         return Reason.POSITION_OLD
-    return seen.danger
+    return observed.danger

@@ -1,4 +1,4 @@
-"""Whether what the sensors say can be true: pure steps, one for the force, one for the encoders.
+"""Plausibility of the sensors: pure steps, one for the force, one for the encoders.
 
 Faults are named as PX4 names them. What each can see, and what it cannot:
 
@@ -52,7 +52,7 @@ BEYOND_STOP = 0.1
 
 
 class ForceState(NamedTuple):
-    """What is remembered of the force sensor."""
+    """Memory of the force sensor's check."""
 
     last: Vector3 | None = None
     """Last sample that came [N]."""
@@ -132,7 +132,7 @@ def _equal(step: float, samples: int) -> float:
 
 
 class EncoderState(NamedTuple):
-    """What is remembered of the four motor encoders."""
+    """Memory of the four motor encoders' check."""
 
     counts: tuple[int | None, int | None, int | None, int | None] = (None, None, None, None)
     """Last that came."""
@@ -151,7 +151,7 @@ def encoder_step(
 
     Args:
         state: What the last step returned; `EncoderState()` at first.
-        counts: Of motors 1–4; None where none came.
+        counts: Counts of motors 1–4; None where none came.
         counts_per_turn: Of each, CTS as the pucks say.
         T_s: Time since the last step [s].
 

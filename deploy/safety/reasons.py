@@ -1,11 +1,11 @@
-"""Why the robot was stopped, held back or refused a frame: one word each, and a sentence for people."""
+"""Reasons for which the robot stops, is held back or refuses a frame: one word each, and a sentence for people."""
 
 from collections.abc import Mapping
 from enum import StrEnum
 
 
 class Reason(StrEnum):
-    """Why; the word goes into statistics, recordings and the last line on the screen."""
+    """Reason for a stop or refusal; the word goes into statistics, recordings and the last line on the screen."""
 
     NONE = "none"
     # The outgoing frame.
@@ -119,4 +119,4 @@ EXPLANATION: Mapping[Reason, str] = {
     Reason.FINISHED: "The run is over.",
     Reason.ERROR: "The program failed; its message is above.",
 }
-"""What each means, for people."""
+"""Meaning of each reason, for people."""

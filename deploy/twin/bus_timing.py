@@ -26,7 +26,7 @@ class BusTiming:
         self._order, self._free = count(), 0
 
     def copies(self, targets: Sequence[str], now: float) -> list[float]:
-        """How late each copy of a frame arrives [s], none if it is lost; of a frame that belongs to these targets."""
+        """Delays of the copies of a frame that belongs to these targets [s], none if it is lost."""
         return self._links.copies(targets, now) if self._links else [0.0]
 
     def post(self, frame: Frame, at: int) -> None:
@@ -34,7 +34,7 @@ class BusTiming:
         heapq.heappush(self._waiting, (self.carry(frame, at), next(self._order), frame))
 
     def carry(self, frame: Frame, at: int) -> int:
-        """When a frame sent at a time has gone over the wire [ns]; bits are stuffed as in typical ones (wam.md §6)."""
+        """Time at which a frame sent at a time is over the wire [ns]; bits are stuffed as typically (wam.md §6)."""
         if not self._bit_rate:
             return at
         bits = 47 + 8 * len(frame.data) + (34 + 8 * len(frame.data) - 1) // 20
@@ -49,5 +49,5 @@ class BusTiming:
         return due
 
     def next(self) -> int | None:
-        """When the next frame arrives [ns], None if none is under way."""
+        """Arrival of the next frame [ns], None if none is under way."""
         return self._waiting[0][0] if self._waiting else None

@@ -16,7 +16,7 @@ _BLOCK = 256
 
 
 class ForceSensorModel:
-    """Force on the tissue → what is read of it, in the world's axes [N]."""
+    """Turns the force on the tissue into the force read, in the world's axes [N]."""
 
     def __init__(self, settings: TwinSettings) -> None:
         pole = lowpass_pole(2.0 * math.pi * settings.lowpass_hz, 1e-3, FLOATS)
@@ -29,7 +29,7 @@ class ForceSensorModel:
         self._drawn: list[Vector3] = []
 
     def read(self, force: Vector3, velocity: Vector3) -> Vector3:
-        """What is read at this sample.
+        """Force read at this sample.
 
         Args:
             force: On the tissue [N].

@@ -17,7 +17,7 @@ LARGEST = 127.99
 
 
 class ForceTorque(Device):
-    """What the bus sees of the force."""
+    """Force/torque sensor as the bus sees it."""
 
     def __init__(self, settings: TwinSettings) -> None:
         values = {"FT": 0, "A": 0, "GRPA": 10, "GRPB": 10, "GRPC": 10, "TEMP": 30}
@@ -49,7 +49,7 @@ class ForceTorque(Device):
         return (measured[0] - self._offset[0], measured[1] - self._offset[1], measured[2] - self._offset[2])
 
     def reading(self, force: Vector3, orientation: np.ndarray) -> tuple[Vector3, int]:
-        """What it feels of its surroundings, −y in its own axes [N], and its flags.
+        """Force of the surroundings on the sensor, −y in its own axes [N], and its flags.
 
         Args:
             force: On the tissue, tared, in the world's axes [N].

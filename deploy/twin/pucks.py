@@ -53,7 +53,7 @@ class Puck(Device):
 
     @property
     def driving(self) -> bool:
-        """Whether it turns torque commands into torque; else its motor is shorted."""
+        """Whether the puck turns torque commands into torque; else its motor is shorted."""
         return self.powered and self.stat == READY and self.mode == TORQUE
 
     @property
@@ -88,7 +88,7 @@ class Puck(Device):
                 self._command = 0
 
     def fail(self, code: int) -> None:
-        """An error of its own: it falls idle until it is reset."""
+        """Begin an error: the puck falls idle until it is reset."""
         self.values[self.number["ERROR"]], self.values[self.number["MODE"]] = code, IDLE
         self.stat, self._command = ERROR, 0
 

@@ -96,7 +96,7 @@ class SafetyModule(Device):
             super().set(prop, value, now)
 
     def heard_torques(self, units: Sequence[int], now: float) -> None:
-        """A packed torque frame went by [units]."""
+        """Take a packed torque frame that went by [units]."""
         self._torque_at = now
         largest = max(map(abs, units))
         warning, fault = (self.values[self.number[name]] for name in ("TL1", "TL2"))
@@ -106,7 +106,7 @@ class SafetyModule(Device):
             self._words["torque"] = max(self._words["torque"], WARNING) if largest else SAFE
 
     def heard_position(self, node: int, counts: int, now: float) -> None:
-        """A puck's position went by; with the last of the four comes a velocity [counts]."""
+        """Take a puck's position that went by; with the last of the four comes a velocity [counts]."""
         self._position_at = now
         self._heard[node] = counts
         if len(self._heard) == 4:

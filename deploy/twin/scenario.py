@@ -1,4 +1,4 @@
-"""From an experiment, or the name of a rhythm, to the twin's settings: it meets what the simulation meets."""
+"""Twin's settings from an experiment or the name of a rhythm: it meets what the simulation meets."""
 
 from importlib import resources
 from pathlib import Path
@@ -84,7 +84,7 @@ def twin_settings(
 
 
 def _of_experiment(name: str) -> dict[str, Any]:
-    """What an experiment says of the world; of the controller's share in it the twin knows nothing."""
+    """Settings of the world in an experiment; of the controller's share in it the twin knows nothing."""
     path = Path(name) if name.endswith(".toml") else _published(name)
     data = read_toml(path)
     with located(path):

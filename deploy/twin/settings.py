@@ -1,4 +1,4 @@
-"""Which arm, heart, tissue, sensor and bus the twin is.
+"""Settings of the twin: arm, heart, tissue, sensor and bus.
 
 Arm, heart and tissue have the tables of an experiment, and their defaults: the nominal imperfect arm.
 """

@@ -1,4 +1,4 @@
-"""What a serial CAN adapter says and hears (Lawicel's protocol): a letter, hexadecimal digits, a carriage return.
+"""Protocol of a serial CAN adapter (Lawicel's): a letter, hexadecimal digits, a carriage return.
 
     t4041 30            a frame with identifier 404 and one byte (without the space)
     O, C, S8, V, N, F   open, close, bit rate, version, serial number, status
@@ -26,7 +26,7 @@ class Slcan:
         return self._open
 
     def hear(self, data: bytes, now: float) -> tuple[list[Frame], bytes]:
-        """Frames in what the host sent, and what to answer at once."""
+        """Frames that the host sent, and the text to answer at once."""
         self._heard += data
         frames, answer = [], b""
         *lines, self._heard = self._heard.split(b"\r")

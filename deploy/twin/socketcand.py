@@ -1,4 +1,4 @@
-"""What a socketcand server says and hears: text in angle brackets over TCP.
+"""Protocol of a socketcand server: text in angle brackets over TCP.
 
     server              client
     < hi >
@@ -34,7 +34,7 @@ class Socketcand:
         return now >= self._listens_from
 
     def hear(self, data: bytes, now: float) -> tuple[list[Frame], bytes]:
-        """Frames in what a client sent, and what to answer at once."""
+        """Frames that a client sent, and the text to answer at once."""
         self._heard += data
         frames, answer = [], b""
         while (end := self._heard.find(b">")) >= 0:

@@ -39,7 +39,7 @@ class Twin:
     """
 
     def __init__(self, settings: TwinSettings | None = None) -> None:
-        """Switch it on.
+        """Switch the robot on.
 
         Raises:
             InputError: A fault's text is wrong.
@@ -81,7 +81,7 @@ class Twin:
         return bool(self._off) and any(fault.active(self.now) for fault in self._off)
 
     def truth(self) -> Truth:
-        """What no controller can know."""
+        """True state, which no controller can know."""
         return self.world.truth()
 
     def receive(self, frame: Frame, at_ns: int | None = None) -> None:
@@ -111,7 +111,7 @@ class Twin:
         return due
 
     def next_ns(self) -> int | None:
-        """When the next frame will be there [ns], as far as known."""
+        """Time at which the next frame will be there [ns], as far as known."""
         return self._wire.next()
 
     def advance(self) -> None:
@@ -147,7 +147,7 @@ class Twin:
         return force
 
     def _sample(self) -> None:
-        """What encoders and force sensor read at this millisecond."""
+        """Read encoders and force sensor at this millisecond."""
         angles = motor_angles(self.world.q)
         raw = [puck.turned(angle) for puck, angle in zip(self.pucks, angles, strict=True)]
         self._counts: list[int | None] = list(raw)
@@ -161,7 +161,7 @@ class Twin:
             self._force = self._force_faults.read(self.tick, self._force)  # type: ignore[assignment]  # three as before
 
     def _happen(self) -> None:
-        """Faults that are an event, and a babbling node's frames of the coming millisecond."""
+        """Begin the faults that are events, and post a babbling node's frames of the coming millisecond."""
         while self._events and self._events[0].start <= self.now + 1e-9:
             self._event(self._events.pop(0))
         for fault in self._babble:
@@ -249,7 +249,7 @@ class Twin:
             self._wire.post(frame, at + round(1e9 * late))
 
     def _follow_safety(self) -> None:
-        """The safety module's mode is that of the pucks, and their power is its."""
+        """Give pucks and sensor the mode and the power of the safety module."""
         mode, before = self.safety.mode, self._mode
         if mode == before:
             return

@@ -34,7 +34,7 @@ STOP_STIFFNESS = 3000.0
 
 
 class Truth(NamedTuple):
-    """What no controller can know."""
+    """True state of arm and heart, which no controller can know."""
 
     time: float
     """[s]"""
@@ -58,7 +58,7 @@ class Truth(NamedTuple):
 
 
 class TwinPhysics:
-    """Everything but electronics."""
+    """Physics of arm, heart and contact."""
 
     def __init__(self, settings: TwinSettings) -> None:
         import mujoco
@@ -95,7 +95,7 @@ class TwinPhysics:
 
     @property
     def measured(self) -> Vector3:
-        """What the force sensor reads of the force on the tissue, in the world's axes [N]."""
+        """Force on the tissue as the force sensor reads it, in the world's axes [N]."""
         return self._measured
 
     @property
@@ -165,7 +165,7 @@ class TwinPhysics:
         self._settle()
 
     def _settle(self) -> None:
-        """Everything that follows from the present angles and velocities and from the heart."""
+        """Update what follows from the present angles and velocities and from the heart."""
         self._mujoco.mj_step1(self._model, self._data)
         self._mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, self._site)
         self._q, self._qd = _four(self._data.qpos), _four(self._data.qvel)

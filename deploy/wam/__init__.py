@@ -1,1 +1,1 @@
-"""The arm on its bus: what its pucks say about themselves, start-up, and the traffic of one cycle."""
+"""The arm on its bus: properties of its pucks, start-up, and the traffic of one cycle."""

@@ -1,4 +1,4 @@
-"""The traffic of one cycle: ask, take what answers in time, tell what is how old, send torques."""
+"""Traffic of one cycle: requests, replies that come in time, ages of what is missing, the torque frame."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -33,10 +33,10 @@ LONG_AGO: Final = 1_000_000
 
 
 class Reading(NamedTuple):
-    """What one cycle has brought. Motors count from 1 to 4 as in the packed torque.
+    """Measurements of one cycle. Motors count from 1 to 4 as in the packed torque.
 
     Attributes:
-        counts: Of each motor's encoder in this cycle; None where none came, or none that can be true.
+        counts: Count of each motor's encoder in this cycle; None where none came, or none that can be true.
         position_age: Cycles since the motor's last accepted counts, 0 if they are of this one.
         force: This cycle's force on the tissue in the world's frame [N], or None.
         force_age: Cycles since there was one.
@@ -44,8 +44,8 @@ class Reading(NamedTuple):
         safety_mode: Of the safety module: 0 e-stop, 1 idle, 2 active; None before its first answer.
         pendant: As last shown, None before the first answer.
         safety_age: Cycles since the safety module's last answer; it is asked every 10.
-        puck_status: STAT of each puck as last told: 0 reset, 1 error, 2 ready.
-        puck_mode: MODE of each puck as last told: 0 idle, 2 torque; None before its first answer.
+        puck_status: STAT of each puck as last reported: 0 reset, 1 error, 2 ready.
+        puck_mode: MODE of each puck as last reported: 0 idle, 2 torque; None before its first answer.
         other: All properties told in this cycle.
     """
 
@@ -181,7 +181,7 @@ class WamArm:
             raise ValueError(f"joint torques {tuple(joint_torque)} are not finite") from None
 
     def idle_frames(self) -> tuple[Frame, Frame]:
-        """What lowers the arm's state: every puck to idle, and the safety module to idle."""
+        """Frames that lower the arm's state: every puck to idle, and the safety module to idle."""
         pucks = set_value(GROUPS["wam"], self._mode, properties.MODE_IDLE)
         return pucks, set_value(SAFETY_MODULE, self._mode, properties.SAFETY_IDLE)
 

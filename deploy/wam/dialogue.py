@@ -26,7 +26,7 @@ class Clock(Protocol):
 
 
 class Dialogue:
-    """Asks, and keeps every answer that comes, however late.
+    """Asks single nodes and keeps every answer, however late.
 
     Attributes:
         properties: Last answer by node and property.

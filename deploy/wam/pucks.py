@@ -1,4 +1,4 @@
-"""What the pucks say about themselves, and with it their counts as joint angles, their units as joint torques."""
+"""Properties of the motor pucks, and by them counts as joint angles, units as joint torques."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -63,7 +63,7 @@ class PuckInfo:
             raise CalibrationError(f"{said}: it would give no torque or an unbounded one, set it with btutil")
 
     def number(self, name: str) -> int:
-        """The number it knows a property by."""
+        """Number of a property in this puck's firmware."""
         return properties.number(name, "motor", self.version)
 
 
@@ -123,7 +123,7 @@ class Pucks:
         return tuple(info.units_per_torque for info in self.infos)
 
     def number(self, name: str) -> int:
-        """The number that all of them know a property by: for P, T and MODE."""
+        """Number of a property that is the same in all pucks, as that of P, T and MODE."""
         return self.infos[0].number(name)
 
     def angles(self, counts: Sequence[float]) -> Vector4:

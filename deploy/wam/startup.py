@@ -177,7 +177,7 @@ def _no_faults(talk: Dialogue, pen: int) -> None:
 
 
 def _wake(talk: Dialogue, status: dict[int, int], nodes: Sequence[int], report: Callable[[str], None]) -> None:
-    """Wake who is in its monitor, silently: a transceiver coming up can throw the host off the bus."""
+    """Wake nodes that are in their monitor, silently: a transceiver coming up can throw the host off the bus."""
     asleep = [node for node in nodes if status[node] == properties.STAT_RESET]
     for node in asleep:
         talk.order(node, STAT, properties.STAT_READY, then_s=0.01)

@@ -1,4 +1,4 @@
-"""Where the tip is, how it moves, and how the tool is turned, from the controller's own chain.
+"""Position and velocity of the tip and orientation of the tool, from the controller's own chain.
 
 The tool's axes are those of the forearm: z along it, y the elbow's axis. With the angles of libbarrett's table
 
@@ -48,7 +48,7 @@ def tip_kinematics(chain: Chain) -> Callable[[Vector4, Vector4], TipKinematics]:
 
 
 def tool_axes(q: Any, ops: Any) -> Any:
-    """R above; `ops` has `sin` and `cos`."""
+    """Rotation R above from the tool's axes; `ops` has `sin` and `cos`."""
     turned: Any = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     for i, angle in enumerate(q):
         s, c = ops.sin(angle), ops.cos(angle)

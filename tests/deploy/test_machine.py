@@ -2,7 +2,17 @@ from itertools import product
 
 import pytest
 
-from deploy.safety.machine import BRIDGED, HELD, TOUCHED, Observations, OperatingState, SafetyState, Task, step, task_of
+from deploy.safety.machine import (
+    BRIDGED,
+    CONTACT_CYCLES,
+    HELD,
+    Observations,
+    OperatingState,
+    SafetyState,
+    Task,
+    step,
+    task_of,
+)
 from deploy.safety.reasons import EXPLANATION, Reason
 
 UP = {
@@ -40,7 +50,7 @@ def everything():
 def test_only_the_arrows_are_walked_whatever_is_seen():
     for state in OperatingState:
         for reason in (NONE, Reason.FORCE_LOST, Reason.E_STOP):
-            now = SafetyState(state, reason, touched=TOUCHED - 1)
+            now = SafetyState(state, reason, contact_cycles=CONTACT_CYCLES - 1)
             found = {step(now, seen).state for seen in everything()} - {state}
             assert found == UP[state]
 
@@ -50,7 +60,7 @@ def test_the_way_up():
     assert now.state is OperatingState.ARMED
     now = walk(READY._replace(start=False), READY, start=now)
     assert now.state is OperatingState.APPROACH
-    now = walk(*[READY._replace(touching=True)] * TOUCHED, start=now)
+    now = walk(*[READY._replace(touching=True)] * CONTACT_CYCLES, start=now)
     assert now.state is OperatingState.CONTACT
     now = walk(READY._replace(finish=Reason.FINISHED), start=now)
     assert (now.state, now.reason) == (OperatingState.RETRACT, Reason.FINISHED)
@@ -62,7 +72,10 @@ def test_the_way_up():
 def test_a_touch_must_last():
     touching = READY._replace(touching=True)
     now = walk(
-        *[touching] * (TOUCHED - 1), READY, *[touching] * (TOUCHED - 1), start=SafetyState(OperatingState.APPROACH)
+        *[touching] * (CONTACT_CYCLES - 1),
+        READY,
+        *[touching] * (CONTACT_CYCLES - 1),
+        start=SafetyState(OperatingState.APPROACH),
     )
     assert now.state is OperatingState.APPROACH
 

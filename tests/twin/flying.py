@@ -29,7 +29,7 @@ class Flight:
     ended: RunResult
     session: Session
     twin: Twin
-    situations: list[SafetyState]
+    safety_states: list[SafetyState]
     time: np.ndarray
     """Of the twin at each cycle [s]."""
     force: np.ndarray
@@ -45,7 +45,7 @@ class Flight:
 
     @property
     def reason(self) -> Reason:
-        return self.ended.situation.reason
+        return self.ended.safety_state.reason
 
     def signals(self) -> dict[str, np.ndarray]:
         return self.session.recorder.signals()
@@ -70,7 +70,7 @@ class Flight:
 
     def detected(self, since: float) -> int:
         """Cycles from a time until the state left contact; −1 if it never did."""
-        for time, now in zip(self.time, self.situations, strict=True):
+        for time, now in zip(self.time, self.safety_states, strict=True):
             if time >= since - 1e-9 and now.state not in (
                 OperatingState.CONTACT,
                 OperatingState.APPROACH,
@@ -114,28 +114,28 @@ def fly(
     if limits is not None:
         artifact = replace(artifact, arm=replace(artifact.arm, limits=limits))
     session = Session(artifact, bus, clock, options, lambda sentence: None)
-    situations: list[SafetyState] = []
+    safety_states: list[SafetyState] = []
     times: list[float] = []
     clamped = [0]
 
-    def each(done: CycleResult) -> OperatorCommand:
+    def each(result: CycleResult) -> OperatorCommand:
         times.append(1e-9 * clock.now())
-        situations.append(done.situation)
-        clamped[0] += done.situation.state is OperatingState.CONTACT and done.clamp.acted
-        if done.situation.state is OperatingState.ARMED and done.situation.cycles == ACTIVATED:
+        safety_states.append(result.safety_state)
+        clamped[0] += result.safety_state.state is OperatingState.CONTACT and result.clamp.acted
+        if result.safety_state.state is OperatingState.ARMED and result.safety_state.cycles == ACTIVATED:
             twin.press("activate")
         over = session.controller.contact_time >= seconds
         return OperatorCommand(True, True, Reason.FINISHED if over else Reason.NONE)
 
     ended = session.run(OperatorCommand(True, True), None, each)
     bus.close()
-    entered = [time for time, now in zip(times, situations, strict=True) if now.state is OperatingState.CONTACT]
+    entered = [time for time, now in zip(times, safety_states, strict=True) if now.state is OperatingState.CONTACT]
     rows = np.array(truth)
     return Flight(
         ended,
         session,
         twin,
-        situations,
+        safety_states,
         np.array(times),
         rows[:, 1:],
         rows[:, 0],

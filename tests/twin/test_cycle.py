@@ -18,13 +18,13 @@ def test_a_checker_that_refuses_everything_lets_go_within_the_cycle(monkeypatch)
     options = Options(ConstantForce((0.0, 0.0, -5.0)), turns=False, tare=False)
     session = Session(arm_artifact(), Bus(LockstepBus(clock), clock.now), clock, options, lambda sentence: None)
     cycle, arm = session.cycle, session.arm
-    cycle.situation = SafetyState(OperatingState.ARMED)
+    cycle.safety_state = SafetyState(OperatingState.ARMED)
     clock.wait_until(clock.now() + 1_000_000)
     arm.request()
     reading = arm.collect(clock.now() + 500_000)
     monkeypatch.setattr(cycle.checker, "check", lambda *arguments: Reason.WORKSPACE)  # not a reason to let go by itself
-    done = cycle.step(reading, CycleTiming(), OperatorCommand(True, True))
-    assert done.task is Task.OFF
-    assert done.situation.state is OperatingState.FAULT
-    assert done.frame == arm.torque_frame((0.0, 0.0, 0.0, 0.0))
+    result = cycle.step(reading, CycleTiming(), OperatorCommand(True, True))
+    assert result.task is Task.OFF
+    assert result.safety_state.state is OperatingState.FAULT
+    assert result.frame == arm.torque_frame((0.0, 0.0, 0.0, 0.0))
     arm.bus.close()

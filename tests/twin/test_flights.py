@@ -52,9 +52,9 @@ def test_a_hazard_ends_torque_within_two_cycles_for_good(plain, fault, reason, d
     at = 2.5 + phase
     flight = fly(plain, f"{fault}@{at}+1.0" if fault.startswith("bus") else f"{fault}@{at}", "pendant:activate@2.7",
                  seconds=4.0, motion=Motion(start=9.0), gap=BEFORE)  # fmt: skip
-    assert flight.ended.situation.state is OperatingState.FAULT
+    assert flight.ended.safety_state.state is OperatingState.FAULT
     assert flight.reason in reason
-    assert detail in flight.ended.situation.detail
+    assert detail in flight.ended.safety_state.detail
     driven = [time for time, units in flight.frames if time >= at and any(units)]
     assert len(driven) <= 2
     assert all(time < at + 2e-3 for time in driven)
@@ -76,8 +76,8 @@ def test_two_lost_replies_in_a_row_are_bridged_and_three_are_not(plain):
     assert bridged.twin.counters["lost"] == 2
 
     flight = fly(plain, f"J2:lost=3@{FAULT_AT}", seconds=4.0, motion=Motion(start=2.5), gap=BEFORE)
-    assert (flight.ended.situation.state, flight.reason) == (OperatingState.FAULT, Reason.POSITION_OLD)
-    assert "J2" in flight.ended.situation.detail
+    assert (flight.ended.safety_state.state, flight.reason) == (OperatingState.FAULT, Reason.POSITION_OLD)
+    assert "J2" in flight.ended.safety_state.detail
     assert flight.detected(FAULT_AT) == 3
     # Gravity's torque alone within 20 ms: then only the weight of the arm at its last angles is left.
     signals = flight.signals()
@@ -100,7 +100,7 @@ def check_sensor_fault(artifact, word, **settings):
     assert clean.reason is Reason.FINISHED
     detected = flight.detected(FAULT_AT)
     assert 0 <= detected <= (11 if word == "stuck" else 3)
-    assert flight.ended.situation.state is OperatingState.STOPPED
+    assert flight.ended.safety_state.state is OperatingState.STOPPED
     assert str(flight.reason).startswith("force")
     assert flight.peak() <= clean.peak() + 0.5
     assert flight.push() <= clean.push() + 0.5
@@ -124,7 +124,7 @@ def test_a_dead_or_mad_force_sensor_ends_contact_gently_on_every_tissue(cautious
 def test_a_lying_force_sensor_stays_within_the_hard_limits(cautious, tissue, word, record_property):
     flight = sensor_fault(cautious, word, tissue=tissue)
     assert flight.peak() <= cautious.arm.limits.force
-    assert flight.ended.situation.state in (OperatingState.STOPPED, OperatingState.FAULT)
+    assert flight.ended.safety_state.state in (OperatingState.STOPPED, OperatingState.FAULT)
     record_property("seen", f"{flight.reason} after {flight.detected(FAULT_AT)} cycles, {flight.peak():.2f} N")
 
 
@@ -137,7 +137,7 @@ def test_a_lying_force_sensor_stays_within_the_hard_limits(cautious, tissue, wor
 )  # fmt: skip
 def test_no_alarm_in_a_clean_minute(cautious, tissue, rhythm):
     flight = fly(cautious, seconds=60.0, gap=BEFORE, tissue=tissue, rhythm=rhythm, record=1.0)
-    assert (flight.ended.situation.state, flight.reason) == (OperatingState.STOPPED, Reason.FINISHED)
+    assert (flight.ended.safety_state.state, flight.reason) == (OperatingState.STOPPED, Reason.FINISHED)
     assert flight.clamped < 0.001 * flight.ended.contact_cycles
 
 
@@ -163,11 +163,11 @@ def test_the_same_flight_twice_is_the_same(cautious):
 
 def test_a_sensor_with_the_wrong_sign_from_the_start_shows_at_first_contact(cautious):
     flight = fly(cautious, "force:sign@0", stiffness=1900.0, seconds=3.0, gap=BEFORE)
-    assert (flight.ended.situation.state, flight.reason) == (OperatingState.STOPPED, Reason.FORCE_MODEL)
+    assert (flight.ended.safety_state.state, flight.reason) == (OperatingState.STOPPED, Reason.FORCE_MODEL)
     assert flight.peak() <= cautious.arm.limits.force
 
 
 @pytest.mark.oracle
 def test_nothing_is_met(cautious):
     flight = fly(cautious, seconds=1.0, gap=0.08)
-    assert (flight.ended.situation.state, flight.reason) == (OperatingState.STOPPED, Reason.NO_CONTACT)
+    assert (flight.ended.safety_state.state, flight.reason) == (OperatingState.STOPPED, Reason.NO_CONTACT)

@@ -47,12 +47,12 @@ def run():
         session = Session(arm_artifact(), bus, clock, options, lambda sentence: None)
         watchdog, cycles, when = Watchdog(), [], []
 
-        def each(done):
-            cycles.append(done.situation)
+        def each(result):
+            cycles.append(result.safety_state)
             if len(cycles) == 50:
                 twin.press("activate")
             if len(cycles) == AT:
-                assert done.situation.state is OperatingState.CONTACT
+                assert result.safety_state.state is OperatingState.CONTACT
                 when.append(clock.now())
                 happen(clock, watchdog)
             return OperatorCommand(True, True, Reason.FINISHED if len(cycles) > AT + 300 else Reason.NONE)
@@ -73,7 +73,7 @@ def run():
 
 def test_after_standing_still_nothing_is_computed_from_what_is_old(run):
     ended, session = run(lambda clock, _: clock.wait_until(clock.now() + 100_000_000))
-    assert (ended.situation.state, ended.situation.reason) == (OperatingState.FAULT, Reason.STALLED)
+    assert (ended.safety_state.state, ended.safety_state.reason) == (OperatingState.FAULT, Reason.STALLED)
     (watchdog,) = run.watchdogs
     assert watchdog.driven == []
     assert watchdog.mode == 1
@@ -82,7 +82,7 @@ def test_after_standing_still_nothing_is_computed_from_what_is_old(run):
 
 def test_a_few_missed_cycles_end_in_holding(run):
     ended, _ = run(lambda clock, _: clock.wait_until(clock.now() + 8_000_000))
-    assert (ended.situation.state, ended.situation.reason) == (OperatingState.FAULT, Reason.LATE)
+    assert (ended.safety_state.state, ended.safety_state.reason) == (OperatingState.FAULT, Reason.LATE)
     (watchdog,) = run.watchdogs
     assert len(watchdog.driven) > 500  # gravity, for a second
 
@@ -90,7 +90,7 @@ def test_a_few_missed_cycles_end_in_holding(run):
 def test_one_missed_cycle_is_counted_and_flown_over(run):
     ended, session = run(lambda clock, watchdog: (clock.wait_until(clock.now() + 2_000_000), watchdog.beats.clear()))
     assert session.statistics.overruns == 1
-    assert ended.situation.reason is not Reason.LATE
+    assert ended.safety_state.reason is not Reason.LATE
 
 
 @pytest.mark.parametrize("reason", [Reason.STALLED, Reason.WATCHDOG])
@@ -99,7 +99,7 @@ def test_a_watchdog_that_has_acted_or_is_gone_lets_go_at_once(run, reason):
         watchdog.fired, watchdog.there = reason is Reason.STALLED, reason is not Reason.WATCHDOG
 
     ended, _ = run(happen)
-    assert (ended.situation.state, ended.situation.reason) == (OperatingState.FAULT, reason)
+    assert (ended.safety_state.state, ended.safety_state.reason) == (OperatingState.FAULT, reason)
     (watchdog,) = run.watchdogs
     assert watchdog.driven == []
     assert [on for _, on in watchdog.beats[:AT]] == [True] * AT
