@@ -53,7 +53,8 @@ def on_arm(
     """The arm as a scan; `simulate` with gains taken apart, whatever the engine's way to joint accelerations."""
     assert spec.robot is not None
     loop = ArmLoop(chain(), spec.robot, accelerate)
-    met = data.robot, data.stiffness, data.signals, data.force_limit
-    gains, K2, (robot, stiffness, signals, limit) = as_dtype((gains, K2, met), dtype)
-    metrics, trouble, samples = over_arm_cells(loop, gains, K2, robot, stiffness, signals, limit, traced, transform)
+    numbers = gains, K2, data.robot, data.stiffness, data.signals, data.force_limit
+    gains, K2, robot, stiffness, signals, limit = as_dtype(numbers, dtype)
+    found = over_arm_cells(loop, gains, K2, robot, stiffness, signals, limit, traced, transform)
+    metrics, trouble, samples = found
     return CellResults(metrics, *trouble, samples)

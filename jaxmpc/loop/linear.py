@@ -1,6 +1,5 @@
 """One sample of the linear closed loop: law, contact and imperfections of one axis."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from jaxmpc.law import cascade
@@ -25,7 +24,7 @@ class AxisSignals(NamedTuple):
     """Position of the heart's surface [m]."""
     noise: Scalar
     """[N]"""
-    force_ref: Sequence[Scalar]
+    force_ref: Any
     """Wanted force, of the sample itself or 1 … H_p samples ahead [N]."""
     score: Scalar
     """Whether the sample counts."""
