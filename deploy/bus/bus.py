@@ -21,8 +21,8 @@ MOST_AT_ONCE: Final = 64
 SENDS_AFTER_ERROR: Final = 4
 """Frames that are still tried in any second after an error: enough to lower the arm's state, no retrying."""
 SECOND: Final = 1_000_000_000
-# bits of an error frame's identifier and of its second byte, as Linux has them (linux/can/error.h)
-ERROR_CONTROLLER, ERROR_BUS_OFF, PASSIVE = 0x04, 0x40, 0x30
+# bits of an error frame's identifier, as Linux has them (linux/can/error.h)
+ERROR_CONTROLLER, ERROR_BUS_OFF = 0x04, 0x40
 
 
 @dataclass(slots=True)
@@ -176,6 +176,7 @@ class Bus:
             self.counters.malformed += 1
             if message.arbitration_id & ERROR_BUS_OFF:
                 self._fail("off")
+            # the second byte's bits above are error-passive, those below warnings and overruns
             elif message.arbitration_id & ERROR_CONTROLLER and bytes(message.data[1:2]) > b"\x0f":
                 self._fail("error")
             return False

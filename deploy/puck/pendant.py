@@ -38,12 +38,3 @@ def decode_pendant(value: int) -> Pendant:
     words = (LAMPS.get(value >> 3 * i & 0b111, "FAULT") for i in range(5))
     digit = DIGITS.get(value >> 16 & 0xFF, " ")
     return Pendant(BUTTONS[value >> 26 & 0b11], bool(value >> 25 & 1), bool(value >> 24 & 1), digit, *words)
-
-
-def encode_pendant(pendant: Pendant) -> int:
-    """The value of PEN that shows this."""
-    lamp = {word: bits for bits, word in LAMPS.items()}
-    segments = next((bits for bits, digit in DIGITS.items() if digit == pendant.digit), 0)
-    lights = pendant.activate_light << 25 | pendant.idle_light << 24
-    conditions = sum(lamp[getattr(pendant, name)] << 3 * i for i, name in enumerate(CONDITIONS))
-    return BUTTONS.index(pendant.button) << 26 | lights | segments << 16 | conditions

@@ -10,8 +10,8 @@ VERSION = 24
 ROLE = 6
 TARING = 0x7F
 """ERROR while a tare runs."""
-BAD, RETARE = 0x40, 0x80
-"""Flags of the force's seventh byte: not to be used now; a tare is advised."""
+BAD = 0x40
+"""Flag of the force's seventh byte: not to be used now."""
 LARGEST = 127.99
 """Force at which an axis' int16 ends [N]."""
 

@@ -16,8 +16,6 @@ from typing import Any, NamedTuple
 from jaxmpc.law.friction_compensation import bristle
 from jaxmpc.law.scalar import Scalar, Vector
 
-COULOMB = (2.7, 2.5, 1.5, 1.1)
-"""Coulomb friction of a Barrett WAM, openwam's Dynamics.cc: the highest published [N m]."""
 PRESLIDING = 1e-3
 """Presliding displacement z, an assumption: no source gives one [rad]."""
 SMALL_VELOCITY = 1e-3

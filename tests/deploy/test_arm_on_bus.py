@@ -12,9 +12,10 @@ from deploy.force.sensor import Mounted
 from deploy.puck import codec
 from deploy.puck.codec import GROUPS, PropertyReply, Torques, decode
 from deploy.puck.frame import Frame
-from deploy.puck.pendant import Pendant, encode_pendant
+from deploy.puck.pendant import Pendant
 from deploy.wam.arm import DOUBT, WamArm
 from deploy.wam.pucks import PuckInfo, Pucks
+from tests.deploy.pendants import encode_pendant
 
 MS = 1_000_000
 START = (100, -200, 300, -400)

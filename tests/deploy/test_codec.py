@@ -15,7 +15,8 @@ from deploy.puck.codec import (
     decode,
 )
 from deploy.puck.frame import Frame
-from deploy.puck.pendant import CONDITIONS, DIGITS, Pendant, decode_pendant, encode_pendant
+from deploy.puck.pendant import CONDITIONS, DIGITS, Pendant, decode_pendant
+from tests.deploy.pendants import encode_pendant
 
 
 def frame(text):

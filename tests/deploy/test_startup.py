@@ -11,8 +11,9 @@ from deploy.force.sensor import Mounted, Wrench
 from deploy.puck import codec, properties
 from deploy.puck.codec import Get, Set, decode
 from deploy.puck.frame import Frame
-from deploy.puck.pendant import Pendant, encode_pendant
+from deploy.puck.pendant import Pendant
 from deploy.wam.startup import startup
+from tests.deploy.pendants import encode_pendant
 
 MS = 1_000_000
 HOME_COUNTS = [0, -36833, 36832, -36728]  # wam.md §3.2

@@ -11,9 +11,11 @@ import pytest
 from hypothesis import given
 from scipy.integrate import solve_ivp
 
-from jaxmpc.world.friction import COULOMB, PRESLIDING, SMALL_VELOCITY, Friction, init, step
+from jaxmpc.world.friction import PRESLIDING, SMALL_VELOCITY, Friction, init, step
 
 FLOATS = SimpleNamespace(sqrt=math.sqrt)
+COULOMB = (2.7, 2.5, 1.5, 1.1)
+"""Coulomb friction of a Barrett WAM, openwam's Dynamics.cc: the highest published [N m]."""
 NOMINAL = Friction(COULOMB)
 
 
