@@ -81,7 +81,7 @@ def _loop(artifact: "Artifact") -> str:
 
 def _print_arm(arm: "ArmModel") -> None:
     """Model and limits of what drives an arm."""
-    from deploy.controller.limits import UNIT
+    from deploy.controller.limits import ROWS
 
     nominal, links = arm.nominal, arm.chain.links
     friction = "cancels friction" if arm.compensated else "cancels no friction"
@@ -92,7 +92,7 @@ def _print_arm(arm: "ArmModel") -> None:
     print(f"  encoders    judged with {arm.encoder_counts} counts per motor turn")
     print("\n  limit")
     for name, value in arm.limits.plain().items():
-        print(f"  {name:<22}{_list(value)} {UNIT[name]}")
+        print(f"  {name:<22}{_list(value)} {ROWS[name].unit}")
 
 
 def _times(artifact: "Artifact", count: int = 20_000) -> list[float]:

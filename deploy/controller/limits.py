@@ -1,9 +1,9 @@
-"""What the robot may do at most: declared with every controller, checked, and bounded by what nobody may exceed."""
+"""Limits of the robot: declared with every controller, checked, and bounded by what nobody may exceed."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.vectors import Vector4
@@ -17,44 +17,41 @@ MECHANICAL_STOPS: Ranges = ((-2.6, 2.6), (-2.0, 2.0), (-2.8, 2.8), (-0.9, 3.15))
 REACH = 1.0
 """Radius that contains all the tip can reach [m] (Barrett)."""
 
-LOWEST: Mapping[str, float | Vector4] = {
-    "force": 0.1,
-    "joint_torque": (1.0, 1.0, 1.0, 1.0),
-    "motor_torque": (0.1, 0.1, 0.1, 0.1),
-    "torque_rate": (200.0, 200.0, 200.0, 200.0),
-    "joint_velocity": (0.01, 0.01, 0.01, 0.01),
-    "tip_velocity": 0.01,
-    "least_singular_value": 0.02,
-}
-"""Nobody can declare less. A smaller torque or rate would leave no whole puck unit between two limits; a smaller
-singular value would not keep the arm from losing a direction."""
-HIGHEST: Mapping[str, float | Vector4] = {
-    "force": 100.0,
-    "joint_torque": (75.6, 101.7, 60.53, 28.8),
-    "motor_torque": (1.8, 1.8, 1.8, 1.6),
-    "torque_rate": (12000.0, 12000.0, 12000.0, 12000.0),
-    "joint_velocity": (2.5, 2.5, 2.5, 2.5),
-    "tip_velocity": 1.0,
-    "least_singular_value": 0.3,
-}
-"""Nobody can declare more: cable limits MT of the pucks (4860 and 4320 units at 2700 per N m) and what they make at
-the joints, OpenWAM's fastest joint, the speed at which the arm's own safety board cuts it off (wam.md §2.5, §3.5)."""
-UNIT: Mapping[str, str] = {
-    "force": "N",
-    "joint_torque": "N m",
-    "motor_torque": "N m",
-    "torque_rate": "N m/s",
-    "joint_velocity": "rad/s",
-    "tip_velocity": "m/s",
-    "joint_range": "rad",
-    "workspace": "m",
-    "least_singular_value": "m/rad",
-}
+
+class Row(NamedTuple):
+    """Declaration of a limit.
+
+    Attributes:
+        unit: Unit of its numbers.
+        default: Value for work on soft tissue; None where it depends on the tip's place.
+        lowest, highest: Least and most that anybody can declare, one number or one for each.
+        widest: Ranges within which the declared ones lie, in place of `lowest` and `highest`.
+        optional: Whether a file older than the limit takes its default; else every file declares it.
+    """
+
+    unit: str
+    default: Any
+    lowest: Any = None
+    highest: Any = None
+    widest: Sequence[Range] = ()
+    optional: bool = False
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What is never exceeded; whatever exists is complete, finite and within what nobody can exceed.
+    """Limits that are never exceeded; whatever exists is complete, finite and within what nobody can exceed.
+
+    A smaller least torque or rate would leave no whole puck unit between two limits; a smaller singular value would
+    not keep the arm from losing a direction. The largest are the cable limits MT of the pucks (4860 and 4320 units at
+    2700 per N m) and what they make at the joints, OpenWAM's fastest joint, the speed at which the arm's own safety
+    board cuts it off (wam.md §2.5, §3.5).
+
+    Default torques are half of what the cables bear: libbarrett's own 20 N m on J2 leave 12 beside gravity, and a
+    controller that meets a beating heart needs 20 for some milliseconds; cut off there it may lose its stability, as
+    any loop with a gain reduction margin does. Joint ranges are OpenWAM's (§1.3); the rest is chosen here. The law
+    turns counts of the force sensor into torque at once: clean runs of Table I on the simulated arm change it by up to
+    1.8, 4.7, 1.3 and 1.0 N m a sample, on viscous tissue (1900 N/m) by 2.9, 7.5, 2.0 and 1.5. So the usual 1 N m a
+    sample would clamp all the time; 1.3 times the largest of those does not.
 
     Attributes:
         force: Largest force on the tissue, Euclidean norm [N].
@@ -71,92 +68,81 @@ class Limits:
         InputError: A value is malformed or out of bounds.
     """
 
-    force: float
-    joint_torque: Vector4
-    motor_torque: Vector4
-    torque_rate: Vector4
-    joint_velocity: Vector4
-    tip_velocity: float
-    joint_range: Ranges
-    workspace: Box
-    least_singular_value: float
+    force: Annotated[float, Row("N", 15.0, 0.1, 100.0)]
+    joint_torque: Annotated[Vector4, Row("N m", (37.0, 50.0, 30.0, 14.0), (1.0,) * 4, (75.6, 101.7, 60.53, 28.8))]
+    motor_torque: Annotated[Vector4, Row("N m", (1.8, 1.8, 1.8, 1.6), (0.1,) * 4, (1.8, 1.8, 1.8, 1.6))]
+    torque_rate: Annotated[Vector4, Row("N m/s", (4000.0, 10000.0, 3000.0, 2000.0), (200.0,) * 4, (12000.0,) * 4)]
+    joint_velocity: Annotated[Vector4, Row("rad/s", (2.0,) * 4, (0.01,) * 4, (2.5,) * 4)]
+    tip_velocity: Annotated[float, Row("m/s", 0.28, 0.01, 1.0)]
+    joint_range: Annotated[
+        Ranges, Row("rad", ((-2.60, 2.60), (-1.96, 1.96), (-2.73, 2.73), (-0.86, 3.13)), widest=MECHANICAL_STOPS)
+    ]
+    workspace: Annotated[Box, Row("m", None, widest=((-REACH, REACH),) * 3)]
+    least_singular_value: Annotated[float, Row("m/rad", 0.05, 0.02, 0.3)]
 
     def __post_init__(self) -> None:
-        for name, highest in HIGHEST.items():
-            value, lowest = getattr(self, name), LOWEST[name]
-            if isinstance(highest, tuple) and isinstance(lowest, tuple):
-                numbers = _sequence(name, value, 4)
-                bounds = zip(numbers, lowest, highest, strict=True)
-                checked: Any = tuple(_between(f"{name}[{i}]", *each, UNIT[name]) for i, each in enumerate(bounds))
-            else:
-                checked = _between(name, value, lowest, highest, UNIT[name])
-            object.__setattr__(self, name, checked)
-        reach = ((-REACH, REACH),) * 3
-        object.__setattr__(self, "joint_range", _ranges("joint_range", self.joint_range, MECHANICAL_STOPS))
-        object.__setattr__(self, "workspace", _ranges("workspace", self.workspace, reach))
+        for name, row in ROWS.items():
+            object.__setattr__(self, name, _checked(name, getattr(self, name), row))
 
     @classmethod
     def default(cls, tip: Sequence[float]) -> "Limits":
-        """Sensible ones for work on soft tissue around a place.
-
-        Torques are half of what the cables bear (wam.md §2.5): libbarrett's own 20 N m on J2 leave 12 beside gravity,
-        and a controller that meets a beating heart needs 20 for some milliseconds; cut off there it may lose its
-        stability, as any loop with a gain reduction margin does. Joint ranges are OpenWAM's (§1.3); the rest is chosen
-        here. The law turns counts of the force sensor into torque at once: clean runs of Table I on the simulated arm
-        change it by up to 1.8, 4.7, 1.3 and 1.0 N m a sample, on viscous tissue (1900 N/m) by 2.9, 7.5, 2.0 and 1.5.
-        So the usual 1 N m a sample would clamp all the time; 1.3 times the largest of those does not.
+        """Limits for work on soft tissue, 0.10 m to either side of the tip.
 
         Args:
             tip: Where the tip works, in the shoulder's frame (3,) [m].
         """
         box = tuple((max(at - 0.10, -REACH), min(at + 0.10, REACH)) for at in _sequence("tip", tip, 3))
-        return cls(
-            force=15.0,
-            joint_torque=(37.0, 50.0, 30.0, 14.0),
-            motor_torque=(1.8, 1.8, 1.8, 1.6),
-            torque_rate=(4000.0, 10000.0, 3000.0, 2000.0),
-            joint_velocity=(2.0, 2.0, 2.0, 2.0),
-            tip_velocity=0.28,
-            joint_range=((-2.60, 2.60), (-1.96, 1.96), (-2.73, 2.73), (-0.86, 3.13)),
-            workspace=(box[0], box[1], box[2]),
-            least_singular_value=0.05,
-        )
+        return cls(**{name: row.default for name, row in ROWS.items()} | {"workspace": box})
 
     @classmethod
     def from_plain(cls, table: Any) -> "Limits":
         """Limits from plain data, as a file holds them.
 
         Raises:
-            InputError: It is no table, lacks a limit, has an unknown one, or a value is out of bounds.
+            InputError: It is no table, lacks a mandatory limit, has an unknown one, or a value is out of bounds.
         """
-        names = [field.name for field in fields(cls)]
+        names = ", ".join(ROWS)
         if not isinstance(table, Mapping):
-            raise InputError("limits", table, f"a table of {', '.join(names)}", "Declare every limit.")
-        if missing := [name for name in names if name not in table]:
+            raise InputError("limits", table, f"a table of {names}", "Declare every limit.")
+        if missing := [name for name, row in ROWS.items() if not row.optional and name not in table]:
             remedy = "Every limit is mandatory: decide on it and freeze the controller again."
-            raise InputError(f"limits.{missing[0]}", "missing", f"given [{UNIT[missing[0]]}]", remedy)
-        if unknown := sorted(str(name) for name in table if name not in names):
-            raise InputError(f"limits.{unknown[0]}", "unknown", f"one of {', '.join(names)}", "Leave it out.")
-        return cls(**table)
+            raise InputError(f"limits.{missing[0]}", "missing", f"given [{ROWS[missing[0]].unit}]", remedy)
+        if unknown := sorted(str(name) for name in table if name not in ROWS):
+            raise InputError(f"limits.{unknown[0]}", "unknown", f"one of {names}", "Leave it out.")
+        return cls(**{name: row.default for name, row in ROWS.items() if row.optional} | table)
 
     def plain(self) -> dict[str, Any]:
         """Plain data: numbers, and lists of them; `from_plain` takes it back."""
         return {name: _lists(value) for name, value in asdict(self).items()}
 
 
-def _between(name: str, value: Any, lowest: Any, highest: Any, unit: str) -> float:
+_HINTS = get_type_hints(Limits, include_extras=True)
+ROWS: Mapping[str, Row] = {name: hint.__metadata__[0] for name, hint in _HINTS.items()}
+"""All limits by name, in the order of the fields."""
+
+
+def _checked(name: str, value: Any, row: Row) -> Any:
+    if row.widest:
+        return _ranges(name, value, row)
+    if not isinstance(row.highest, tuple):
+        return _between(name, value, row.lowest, row.highest, row.unit)
+    bounds = zip(_sequence(name, value, len(row.highest)), row.lowest, row.highest, strict=True)
+    return tuple(_between(f"{name}[{i}]", *each, row.unit) for i, each in enumerate(bounds))
+
+
+def _between(name: str, value: Any, lowest: float, highest: float, unit: str) -> float:
     number = _number(name, value)
     if not lowest <= number <= highest:
-        remedy = "Nobody can declare a limit outside of that: see HIGHEST and LOWEST in deploy/controller/limits.py."
+        remedy = "Nobody can declare a limit outside of that: see deploy/controller/limits.py."
         raise InputError(f"limits.{name}", f"{number:g}", f"in [{lowest:g}, {highest:g}] {unit}", remedy)
     return number
 
 
-def _ranges(name: str, value: Any, widest: Sequence[Range]) -> Any:
-    pairs = [_sequence(f"{name}[{i}]", pair, 2) for i, pair in enumerate(_items(name, value, len(widest)))]
-    for i, ((low, high), (lowest, highest)) in enumerate(zip(pairs, widest, strict=True)):
+def _ranges(name: str, value: Any, row: Row) -> Any:
+    pairs = [_sequence(f"{name}[{i}]", pair, 2) for i, pair in enumerate(_items(name, value, len(row.widest)))]
+    for i, ((low, high), (lowest, highest)) in enumerate(zip(pairs, row.widest, strict=True)):
         if not lowest <= low < high <= highest:
-            bound = f"a range from low to high within [{lowest:g}, {highest:g}] {UNIT[name]}"
+            bound = f"a range from low to high within [{lowest:g}, {highest:g}] {row.unit}"
             raise InputError(f"limits.{name}[{i}]", f"{low:g} to {high:g}", bound, "Nothing beyond can be reached.")
     return tuple(pairs)
 

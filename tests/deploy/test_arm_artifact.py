@@ -7,7 +7,7 @@ from deploy.controller import arm_model
 from deploy.controller.arm_model import MEANING, ROBOT, ArmModel
 from deploy.controller.file import ArtifactError, from_bytes, load, to_bytes
 from deploy.controller.freeze import freeze
-from deploy.controller.limits import HIGHEST, Limits
+from deploy.controller.limits import ROWS, Limits
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import seal, unseal
 from jaxmpc.law.gain_backoff import GainBackoff
@@ -87,7 +87,7 @@ def test_each_missing_entry_is_named_with_what_it_is_for(opened, key):
     refused(opened, rf"arm\.{key} = missing: must be given: {MEANING[key]}", f"arm.{key}", ...)
 
 
-@pytest.mark.parametrize("key", [*HIGHEST, "joint_range", "workspace"])
+@pytest.mark.parametrize("key", ROWS)
 def test_each_missing_limit_is_named(opened, key):
     refused(opened, rf"limits\.{key} = missing: must be given.*Every limit is mandatory", f"arm.limits.{key}", ...)
 

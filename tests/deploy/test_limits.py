@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from deploy.controller.limits import HIGHEST, LOWEST, MECHANICAL_STOPS, Limits
+from deploy.controller.limits import MECHANICAL_STOPS, ROWS, Limits
 from jaxmpc.files.errors import InputError
 
 TIP = (0.51856, 0.0, 0.05289)
@@ -39,10 +39,17 @@ def test_default_is_around_the_tip_and_within_reach():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_each_limit_is_mandatory(name):
+    assert not ROWS[name].optional
     table = {key: value for key, value in PLAIN.items() if key != name}
     assert refusal(table).startswith(f"limits.{name} = missing: must be given [")
     with pytest.raises(TypeError, match=name):
         Limits(**table)
+
+
+def test_a_file_older_than_a_limit_takes_its_default(monkeypatch):
+    monkeypatch.setitem(ROWS, "force", ROWS["force"]._replace(optional=True, default=12.0))
+    assert Limits.from_plain({key: value for key, value in PLAIN.items() if key != "force"}).force == 12.0
+    assert Limits.from_plain(PLAIN).force == PLAIN["force"]
 
 
 @pytest.mark.parametrize("table", [None, [], "force", 3])
@@ -56,8 +63,9 @@ def test_unknown_limits_are_refused():
 
 CEILINGS = [
     (name, i, low, high)
-    for name in HIGHEST
-    for i, (low, high) in enumerate(zip(np.ravel(LOWEST[name]), np.ravel(HIGHEST[name]), strict=True))
+    for name, row in ROWS.items()
+    if not row.widest
+    for i, (low, high) in enumerate(zip(np.ravel(row.lowest), np.ravel(row.highest), strict=True))
 ]
 
 
@@ -74,10 +82,10 @@ def test_nobody_can_declare_more_or_less(name, index, low, high):
 
 
 def test_the_ceilings_are_the_published_ones():
-    assert HIGHEST["motor_torque"] == (4860 / 2700, 4860 / 2700, 4860 / 2700, 4320 / 2700)
-    assert HIGHEST["joint_velocity"] == (2.5,) * 4
-    assert (HIGHEST["tip_velocity"], HIGHEST["force"]) == (1.0, 100.0)
-    assert HIGHEST["joint_torque"] == pytest.approx((75.6, 101.7, 60.5358, 28.8), abs=0.01)
+    assert ROWS["motor_torque"].highest == (4860 / 2700, 4860 / 2700, 4860 / 2700, 4320 / 2700)
+    assert ROWS["joint_velocity"].highest == (2.5,) * 4
+    assert (ROWS["tip_velocity"].highest, ROWS["force"].highest) == (1.0, 100.0)
+    assert ROWS["joint_torque"].highest == pytest.approx((75.6, 101.7, 60.5358, 28.8), abs=0.01)
 
 
 @pytest.mark.parametrize("name", ["joint_range", "workspace"])

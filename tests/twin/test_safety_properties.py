@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.controller.limits import HIGHEST, LOWEST, Limits
+from deploy.controller.limits import ROWS, Limits
 from deploy.puck import codec
 from deploy.safety.checker import Checker, Strictness
 from deploy.safety.clamp import bounds, clamp
@@ -107,9 +107,9 @@ def four(low, high):
 
 @settings(max_examples=60)
 @given(
-    joint_torque=four((5.0,) * 4, HIGHEST["joint_torque"]),
-    motor_torque=four((0.2,) * 4, HIGHEST["motor_torque"]),
-    torque_rate=four(LOWEST["torque_rate"], HIGHEST["torque_rate"]),
+    joint_torque=four((5.0,) * 4, ROWS["joint_torque"].highest),
+    motor_torque=four((0.2,) * 4, ROWS["motor_torque"].highest),
+    torque_rate=four(ROWS["torque_rate"].lowest, ROWS["torque_rate"].highest),
     ipnm=st.tuples(*[st.integers(2000, 3500)] * 4),
     pidx=st.permutations([1, 2, 3, 4]),
     wanted=st.lists(st.tuples(*[st.floats() | st.floats(-60.0, 60.0)] * 4), min_size=1, max_size=12),
