@@ -87,7 +87,7 @@ def test_each_missing_entry_is_named_with_what_it_is_for(opened, key):
     refused(opened, rf"arm\.{key} = missing: must be given: {MEANING[key]}", f"arm.{key}", ...)
 
 
-@pytest.mark.parametrize("key", ROWS)
+@pytest.mark.parametrize("key", [name for name, row in ROWS.items() if not row.optional])
 def test_each_missing_limit_is_named(opened, key):
     refused(opened, rf"limits\.{key} = missing: must be given.*Every limit is mandatory", f"arm.limits.{key}", ...)
 
