@@ -7,7 +7,8 @@ b = 0.045 m and the upper arm's length l = 0.55 m the tip lies, in the frame of 
     tip = Rz(q₁) Ry(q₂) Rz(q₃) (a, 0, h),   elbow = Rz(q₁) Ry(q₂) Rz(q₃) (b, 0, l)
 
 Speeds and singular values do not change when everything turns about z, so they are found without Rz(q₁).
-The only thing in common with the controller is this arm: neither code nor constants are shared.
+In common with the controller are this arm and the recorder that makes straight-line code of arithmetic; formulas and
+constants are this file's own.
 """
 
 from collections.abc import Callable
