@@ -109,7 +109,7 @@ class Limits:
             raise InputError(f"limits.{missing[0]}", "missing", f"given [{ROWS[missing[0]].unit}]", remedy)
         if unknown := sorted(str(name) for name in table if name not in ROWS):
             raise InputError(f"limits.{unknown[0]}", "unknown", f"one of {names}", "Leave it out.")
-        return cls(**{name: row.default for name, row in ROWS.items() if row.optional} | table)
+        return cls(**{name: row.default for name, row in ROWS.items() if row.optional} | dict(table))
 
     def plain(self) -> dict[str, Any]:
         """Plain data: numbers, and lists of them; `from_plain` takes it back."""

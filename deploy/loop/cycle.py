@@ -10,9 +10,9 @@ from collections.abc import Callable
 from math import dist, isfinite
 from typing import NamedTuple
 
-from deploy.bus.bus import Bus
 from deploy.controller.limits import Limits
 from deploy.loop.control import TaskController
+from deploy.loop.hazards import CycleTiming, Hazards
 from deploy.puck.frame import Frame
 from deploy.safety import machine
 from deploy.safety.checker import Checker, Strictness
@@ -26,19 +26,11 @@ from deploy.wam.tip_pose import TipKinematics
 from jaxmpc.law.vectors import Vector3, Vector4
 
 ZERO: Vector4 = (0.0, 0.0, 0.0, 0.0)
-FOREIGN, FOREIGN_CYCLES = 4, 2
-"""Foreign frames in a cycle, so many cycles in a row, that are a babbling node: half of what a full bus can hold."""
-SILENT = 100
-"""Cycles without a word of the safety module, which is asked every ten."""
-LATELY = 1000
-"""Cycles for which lateness explains replies that do not come."""
 SETTLED = 0.5
 """Time in contact [s] after which the observers' innovation judges the sensor."""
 ASTRAY = 2.0
 """How far the force in contact never is from that which is wanted [N]: premature beats bring it to 1.4 N, a sensor with
 a wrong sign passes it within some milliseconds."""
-CHANGING = 0.2
-"""Time after an activation in which pucks may still report their old mode [s]."""
 JOINTS = ("J1", "J2 and J3 (motor 2)", "J2 and J3 (motor 3)", "J4")
 _STRICTNESS = {task: Strictness.SAFE for task in Task} | {
     Task.OFF: Strictness.OFF,
@@ -53,17 +45,6 @@ class OperatorCommand(NamedTuple):
     armed: bool = False
     start: bool = False
     finish: Reason = Reason.NONE
-
-
-class CycleTiming(NamedTuple):
-    """Timing of a cycle, and the watchdog's verdict."""
-
-    missed: int = 0
-    """Cycles left out before this one."""
-    late: bool = False
-    """Overruns are too many."""
-    hazard: Reason = Reason.NONE
-    """The watchdog has acted or is gone, or the controller stood still."""
 
 
 class CycleResult(NamedTuple):
@@ -122,9 +103,7 @@ class Cycle:
         self._bridge = EncoderBridge(arm.counts)
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
-        self._age, self._foreign, self._busy, self._active = [0] * 4, arm.bus.counters.foreign, 0, 0
-        self._hosts = arm.bus.counters.hosts
-        self._late, self._late_at = arm.late, -LATELY
+        self._age, self._hazards = [0] * 4, Hazards(arm, T_s)
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
 
@@ -142,12 +121,11 @@ class Cycle:
         qd = runtime.velocity(q) if age <= machine.BRIDGED else ZERO
         kinematics = self._tip_kinematics(q, qd)
         force, doubt = self._force(reading, kinematics)
-        late = self._lately(timing)
-        if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and late):
+        hazard, detail = self._hazards.judge(reading, timing, min(self._age))
+        if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._hazards.lately):
             danger = Reason.LATE
         if timing.late:
             doubt = Reason.LATE
-        hazard, detail = self._hazard(reading, timing.hazard, late)
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
         observed = Observations(
@@ -156,7 +134,7 @@ class Cycle:
             danger,
             doubt,
             detail,
-            self._active > 0,
+            self._hazards.active,
             self.controller.touching(force),
             self.controller.travelled(kinematics.tip),
             *command,
@@ -228,47 +206,3 @@ class Cycle:
             return turned, Reason.FORCE
         astray = self.safety_state.state is OperatingState.CONTACT and dist(turned, controller.force_ref) > ASTRAY
         return turned, Reason.FORCE_MODEL if astray else Reason.NONE
-
-    def _hazard(self, reading: Reading, hazard: Reason, late: bool) -> tuple[Reason, str]:
-        """Reason that forbids to drive the arm, and its detail."""
-        if hazard is not Reason.NONE:
-            return hazard, ""
-        bus = self.arm.bus
-        if bus.state != "active":
-            return Reason.BUS_OFF if bus.state == "off" else Reason.BUS_ERROR, ""
-        if self._babble(bus):
-            return Reason.BUS_LOAD, "frames of a stranger fill the bus"
-        if bus.counters.hosts > self._hosts:
-            self._hosts = bus.counters.hosts
-            return Reason.BUS_LOAD, "another host sends on this bus"
-        if reading.safety_mode == 0:
-            return Reason.E_STOP, ""
-        was_active, self._active = self._active, self._active + 1 if reading.safety_mode == 2 else 0
-        if was_active and not self._active:
-            return Reason.IDLE, ""
-        if min(self._age) >= machine.BRIDGED and not late:
-            return Reason.POSITION_LOST, "no puck answers, as after an e-stop"
-        if reading.safety_age > SILENT and self.arm.cycle > SILENT:
-            return Reason.PENDANT_FAULT, "the safety module is silent"
-        if reading.pendant is not None and (faults := reading.pendant.faults):
-            return Reason.PENDANT_FAULT, ", ".join(faults)
-        for i, status in enumerate(reading.puck_status):
-            if status != 2:
-                return Reason.PUCK_FAULT, f"puck {self.arm.pucks.nodes[i]} reports STAT {status}"
-        if self._active * self._T_s > CHANGING:
-            for i, mode in enumerate(reading.puck_mode):
-                if mode != 2:
-                    return Reason.PUCK_FAULT, f"puck {self.arm.pucks.nodes[i]} left its torque mode"
-        return Reason.NONE, ""
-
-    def _lately(self, timing: CycleTiming) -> bool:
-        """Whether this computer or a reply was late in the last second: then missing positions are late, not lost."""
-        if timing.missed or timing.late or self.arm.late > self._late:
-            self._late, self._late_at = self.arm.late, self.arm.cycle
-        return self.arm.cycle - self._late_at < LATELY
-
-    def _babble(self, bus: Bus) -> bool:
-        foreign = bus.counters.foreign
-        self._busy = self._busy + 1 if foreign - self._foreign >= FOREIGN else 0
-        self._foreign = foreign
-        return self._busy >= FOREIGN_CYCLES

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from deploy.flight.recorder import FlightRecorder
-from deploy.loop.cycle import Cycle, CycleResult, CycleTiming, OperatorCommand
+from deploy.loop.cycle import Cycle, CycleResult, OperatorCommand
+from deploy.loop.hazards import CycleTiming
 from deploy.loop.statistics import Statistics
 from deploy.safety.checker import check_service
 from deploy.safety.clamp import Clamp

@@ -1,7 +1,8 @@
 """A cycle whose every torque is refused: it must end, and let go."""
 
 from deploy.bus.bus import Bus
-from deploy.loop.cycle import CycleTiming, OperatorCommand
+from deploy.loop.cycle import OperatorCommand
+from deploy.loop.hazards import CycleTiming
 from deploy.loop.session import Options, Session
 from deploy.reference.sources import ConstantForce
 from deploy.safety.machine import OperatingState, SafetyState, Task
