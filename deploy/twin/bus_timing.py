@@ -1,13 +1,16 @@
-"""The wire between twin and host: how long frames take on it, and which of them faults lose, delay or double."""
+"""The wire between twin and host: how long frames take on it, and those that faults lose, delay, double or add."""
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import count
 
 import numpy as np
 
 from deploy.puck.frame import Frame
 from deploy.twin.faults import Fault, Links
+
+_FOREIGN = (0x600, 0x7F0)
+"""Identifiers of a babbling node: none of the WAM's, and the lowest priority."""
 
 
 class BusTiming:
@@ -51,3 +54,20 @@ class BusTiming:
     def next(self) -> int | None:
         """Arrival of the next frame [ns], None if none is under way."""
         return self._waiting[0][0] if self._waiting else None
+
+
+class BabblingNode:
+    """Foreign node that fills the bus while a fault of the word "babble" lasts."""
+
+    def __init__(self, faults: Sequence[Fault], random: np.random.Generator) -> None:
+        self._faults = [fault for fault in faults if fault.target == "bus" and fault.word == "babble"]
+        self._random, self._due = random, 0.0
+
+    def frames(self, now: float) -> Iterator[Frame]:
+        """Frames of the millisecond that begins at a time [s]."""
+        for fault in self._faults:
+            if fault.active(now):
+                self._due += 1e-3 * fault.value
+                for _ in range(int(self._due)):
+                    yield Frame(int(self._random.integers(*_FOREIGN)), self._random.bytes(8))
+                self._due -= int(self._due)

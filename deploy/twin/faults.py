@@ -88,6 +88,11 @@ class Fault:
         """Whether it is there at a time [s]."""
         return self.start - _SOON <= now < self.start + self.duration - _SOON
 
+    @property
+    def is_event(self) -> bool:
+        """Whether it happens at an instant, to the pendant or a puck."""
+        return self.target == "pendant" or self.target.startswith("puck")
+
 
 def parse(text: str) -> Fault:
     """A fault from its text, as "force:stuck@12.0" or "J2:off@3+0.1".

@@ -11,12 +11,12 @@ import numpy as np
 
 from deploy.puck import codec
 from deploy.puck.frame import Frame
-from deploy.twin.bus_timing import BusTiming
-from deploy.twin.compiled import motor_angles
+from deploy.twin.bus_timing import BabblingNode, BusTiming
 from deploy.twin.device import RESET, Device
-from deploy.twin.faults import ENCODERS, NOT_FINITE, Distortion, Fault, parse
+from deploy.twin.faults import ENCODERS, NOT_FINITE, Fault, parse
 from deploy.twin.force_torque import ForceTorque
 from deploy.twin.pucks import TORQUE, Puck
+from deploy.twin.readings import Readings
 from deploy.twin.safety_module import ESTOP, IDLE, SafetyModule
 from deploy.twin.settings import TwinSettings
 from deploy.twin.world import Truth, TwinPhysics
@@ -26,8 +26,6 @@ MILLISECOND = 1_000_000
 """[ns]"""
 PUCK_ERROR = 2
 """ERROR of a puck with a fault (chosen here)."""
-_FOREIGN = (0x600, 0x7F0)
-"""Identifiers of a babbling node: none of the WAM's, and the lowest priority."""
 _GRAVITY = np.array([0.0, 0.0, 9.805])
 
 
@@ -52,14 +50,12 @@ class Twin:
         self.pucks = tuple(Puck(node, self.settings) for node in codec.PUCKS)
         self.safety = SafetyModule(self.settings)
         self.sensor = ForceTorque(self.settings)
-        self._readings = self.sensor.number["FT"], self.sensor.number["A"]
+        self._asked = self.sensor.number["FT"], self.sensor.number["A"]
         random = [np.random.default_rng([self.settings.seed, 2, i]) for i in range(7)]
-        self._encoders = [Distortion(joint, self.faults, random[i]) for i, joint in enumerate(ENCODERS)]
-        self._force_faults = Distortion("force", self.faults, random[4])
-        self._wire, self._random = BusTiming(self.settings.bit_rate, self.faults, random[5]), random[6]
-        self._mode, self._babbled = self.safety.mode, 0.0
-        self._events = sorted((f for f in self.faults if _is_event(f)), key=lambda f: f.start)
-        self._babble = [f for f in self.faults if f.target == "bus" and f.word == "babble"]
+        self._readings = Readings(self.pucks, self.sensor, self.faults, random[:5])
+        self._wire = BusTiming(self.settings.bit_rate, self.faults, random[5])
+        self._babbler, self._mode = BabblingNode(self.faults, random[6]), self.safety.mode
+        self._events = sorted((f for f in self.faults if f.is_event), key=lambda f: f.start)
         self._off = [f for f in self.faults if f.target == "bus" and f.word == "off"]
         self._not_finite = [f for f in self.faults if f.word in NOT_FINITE]
         self._sample()
@@ -147,30 +143,14 @@ class Twin:
         return force
 
     def _sample(self) -> None:
-        """Read encoders and force sensor at this millisecond."""
-        angles = motor_angles(self.world.q)
-        raw = [puck.turned(angle) for puck, angle in zip(self.pucks, angles, strict=True)]
-        self._counts: list[int | None] = list(raw)
-        for i, faults in enumerate(self._encoders):
-            if faults:
-                seen = faults.read(self.tick, (float(raw[i]),))
-                self._counts[i] = None if seen is None else round(seen[0])
-        self.sensor.advance(self.world.measured, self.now)
-        self._force: Vector3 | None = self.sensor.tared(self.world.measured)
-        if self._force_faults:
-            self._force = self._force_faults.read(self.tick, self._force)  # type: ignore[assignment]  # three as before
+        self._readings.sample(self.world.q, self.world.measured, self.tick)
 
     def _happen(self) -> None:
         """Begin the faults that are events, and post a babbling node's frames of the coming millisecond."""
         while self._events and self._events[0].start <= self.now + 1e-9:
             self._event(self._events.pop(0))
-        for fault in self._babble:
-            if fault.active(self.now):
-                self._babbled += 1e-3 * fault.value
-                for _ in range(int(self._babbled)):
-                    identifier = int(self._random.integers(*_FOREIGN))
-                    self._wire.post(Frame(identifier, self._random.bytes(8)), self.now_ns)
-                self._babbled -= int(self._babbled)
+        for frame in self._babbler.frames(self.now):
+            self._wire.post(frame, self.now_ns)
 
     def _event(self, fault: Fault) -> None:
         if fault.target == "pendant":
@@ -219,7 +199,7 @@ class Twin:
 
     def _answer(self, device: Device, number: int, at: int) -> None:
         if isinstance(device, Puck) and number == device.number["P"] and device.stat != RESET:
-            raw = self._counts[device.node - 1]
+            raw = self._readings.counts[device.node - 1]
             if raw is not None:
                 wrapped = (device.position(raw) + codec.LARGEST_POSITION) % (2 * codec.LARGEST_POSITION)
                 counts = wrapped - codec.LARGEST_POSITION
@@ -227,19 +207,17 @@ class Twin:
                 self._follow_safety()
                 frame = codec.encode_position(device.node, counts)
                 self._reply(frame, at, "positions", ENCODERS[device.node - 1])
-        elif device is self.sensor and device.stat == RESET and number in self._readings:
+        elif device is self.sensor and device.stat == RESET and number in self._asked:
             return
-        elif device is self.sensor and number == self._readings[0]:
-            if self._force is not None:
-                force, flags = self.sensor.reading(self._force, self.world.orientation)
+        elif device is self.sensor and number == self._asked[0]:
+            if self._readings.force is not None:
+                force, flags = self.sensor.reading(self._readings.force, self.world.orientation)
                 self._reply(codec.encode_force(force, flags), at, "force")
                 self._reply(codec.encode_moment((0.0, 0.0, 0.0)), at, "force")
-        elif device is self.sensor and number == self._readings[1]:
+        elif device is self.sensor and number == self._asked[1]:
             self._reply(codec.encode_acceleration(self.sensor.turned(_GRAVITY, self.world.orientation)), at, "force")
-        else:
-            value = device.get(number)
-            if value is not None:
-                self._reply(codec.encode_property(device.node, number, value), at)
+        elif (value := device.get(number)) is not None:
+            self._reply(codec.encode_property(device.node, number, value), at)
 
     def _reply(self, frame: Frame, at: int, *targets: str) -> None:
         """Send a frame to the host, which faults may lose, delay or double."""
@@ -269,7 +247,3 @@ class Twin:
                 if puck.answers(self.now):
                     puck.set(puck.number["MODE"], wanted, self.now)
             self._reply(Frame(codec.BROADCAST, bytes((codec.SET | number, 0, wanted, 0, 0, 0))), self.now_ns)
-
-
-def _is_event(fault: Fault) -> bool:
-    return fault.target == "pendant" or fault.target.startswith("puck")
