@@ -176,7 +176,7 @@ class Bus:
             self.counters.malformed += 1
             if message.arbitration_id & ERROR_BUS_OFF:
                 self._fail("off")
-            # the second byte's bits above are error-passive, those below warnings and overruns
+            # overruns and warnings are the low four bits of the second byte; above them it is error-passive
             elif message.arbitration_id & ERROR_CONTROLLER and bytes(message.data[1:2]) > b"\x0f":
                 self._fail("error")
             return False

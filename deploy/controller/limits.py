@@ -18,7 +18,7 @@ REACH = 1.0
 """Radius that contains all the tip can reach [m] (Barrett)."""
 
 
-class Row(NamedTuple):
+class LimitRow(NamedTuple):
     """Declaration of a limit.
 
     Attributes:
@@ -68,17 +68,17 @@ class Limits:
         InputError: A value is malformed or out of bounds.
     """
 
-    force: Annotated[float, Row("N", 15.0, 0.1, 100.0)]
-    joint_torque: Annotated[Vector4, Row("N m", (37.0, 50.0, 30.0, 14.0), (1.0,) * 4, (75.6, 101.7, 60.53, 28.8))]
-    motor_torque: Annotated[Vector4, Row("N m", (1.8, 1.8, 1.8, 1.6), (0.1,) * 4, (1.8, 1.8, 1.8, 1.6))]
-    torque_rate: Annotated[Vector4, Row("N m/s", (4000.0, 10000.0, 3000.0, 2000.0), (200.0,) * 4, (12000.0,) * 4)]
-    joint_velocity: Annotated[Vector4, Row("rad/s", (2.0,) * 4, (0.01,) * 4, (2.5,) * 4)]
-    tip_velocity: Annotated[float, Row("m/s", 0.28, 0.01, 1.0)]
+    force: Annotated[float, LimitRow("N", 15.0, 0.1, 100.0)]
+    joint_torque: Annotated[Vector4, LimitRow("N m", (37.0, 50.0, 30.0, 14.0), (1.0,) * 4, (75.6, 101.7, 60.53, 28.8))]
+    motor_torque: Annotated[Vector4, LimitRow("N m", (1.8, 1.8, 1.8, 1.6), (0.1,) * 4, (1.8, 1.8, 1.8, 1.6))]
+    torque_rate: Annotated[Vector4, LimitRow("N m/s", (4000.0, 10000.0, 3000.0, 2000.0), (200.0,) * 4, (12000.0,) * 4)]
+    joint_velocity: Annotated[Vector4, LimitRow("rad/s", (2.0,) * 4, (0.01,) * 4, (2.5,) * 4)]
+    tip_velocity: Annotated[float, LimitRow("m/s", 0.28, 0.01, 1.0)]
     joint_range: Annotated[
-        Ranges, Row("rad", ((-2.60, 2.60), (-1.96, 1.96), (-2.73, 2.73), (-0.86, 3.13)), widest=MECHANICAL_STOPS)
+        Ranges, LimitRow("rad", ((-2.60, 2.60), (-1.96, 1.96), (-2.73, 2.73), (-0.86, 3.13)), widest=MECHANICAL_STOPS)
     ]
-    workspace: Annotated[Box, Row("m", None, widest=((-REACH, REACH),) * 3)]
-    least_singular_value: Annotated[float, Row("m/rad", 0.05, 0.02, 0.3)]
+    workspace: Annotated[Box, LimitRow("m", None, widest=((-REACH, REACH),) * 3)]
+    least_singular_value: Annotated[float, LimitRow("m/rad", 0.05, 0.02, 0.3)]
 
     def __post_init__(self) -> None:
         for name, row in ROWS.items():
@@ -117,11 +117,11 @@ class Limits:
 
 
 _HINTS = get_type_hints(Limits, include_extras=True)
-ROWS: Mapping[str, Row] = {name: hint.__metadata__[0] for name, hint in _HINTS.items()}
+ROWS: Mapping[str, LimitRow] = {name: hint.__metadata__[0] for name, hint in _HINTS.items()}
 """All limits by name, in the order of the fields."""
 
 
-def _checked(name: str, value: Any, row: Row) -> Any:
+def _checked(name: str, value: Any, row: LimitRow) -> Any:
     if row.widest:
         return _ranges(name, value, row)
     if not isinstance(row.highest, tuple):
@@ -138,7 +138,7 @@ def _between(name: str, value: Any, lowest: float, highest: float, unit: str) ->
     return number
 
 
-def _ranges(name: str, value: Any, row: Row) -> Any:
+def _ranges(name: str, value: Any, row: LimitRow) -> Any:
     pairs = [_sequence(f"{name}[{i}]", pair, 2) for i, pair in enumerate(_items(name, value, len(row.widest)))]
     for i, ((low, high), (lowest, highest)) in enumerate(zip(pairs, row.widest, strict=True)):
         if not lowest <= low < high <= highest:

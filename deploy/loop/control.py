@@ -127,7 +127,7 @@ class TaskController:
 
     @property
     def contact_time(self) -> float:
-        """How long the cascade has been in control [s]."""
+        """Time for which the cascade has been in control [s]."""
         return self._samples * self._T_s
 
     def notes(self) -> list[str]:

@@ -131,7 +131,7 @@ def _introduce(twin: "Twin", server: "Server") -> None:
 
 
 class _Status:
-    """A line that is rewritten every second on a terminal; else one every ten seconds."""
+    """Status line that is rewritten every second on a terminal; else one every ten seconds."""
 
     def __init__(self, twin: "Twin", server: "Server") -> None:
         self._twin, self._server, self._terminal = twin, server, sys.stdout.isatty()

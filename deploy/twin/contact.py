@@ -20,7 +20,7 @@ _NONE: Vector3 = (0.0, 0.0, 0.0)
 
 
 class TwinContact:
-    """The tissue under the tip.
+    """Contact of the tip with the tissue under it.
 
     Attributes:
         touching: Whether the tip is in contact.
@@ -39,7 +39,7 @@ class TwinContact:
         self.begin(False)
 
     def begin(self, touching: bool) -> None:
-        """Forget what was; in contact, it is one without force where the heart rests."""
+        """Begin anew; a contact is then one without force where the heart rests."""
         self.touching, self._anchor = touching, self._rest
         self._memory = tissue.init(self._kind, 0.0)
 

@@ -1,4 +1,4 @@
-"""What all nodes of the bus have in common: numbered values, factory and stored defaults, a monitor to wake from."""
+"""Device on the bus, as all nodes are: numbered values, factory and stored defaults, a monitor to wake from."""
 
 from collections.abc import Mapping
 
@@ -11,7 +11,7 @@ BOOT_S = 0.2
 
 
 class Device:
-    """A node; `get` answers None where the real one would not answer.
+    """Node of the bus; `get` answers None where the real one would not answer.
 
     Attributes:
         number: Numbers of its properties by name.
@@ -20,7 +20,7 @@ class Device:
     """
 
     def __init__(self, node: int, kind: Kind, version: int, role: int, values: Mapping[str, int], awake: bool) -> None:
-        """Power it up.
+        """Power the node up.
 
         Args:
             node: Its address.
@@ -41,7 +41,7 @@ class Device:
         self.powered, self.stat, self._booted = True, READY if awake else RESET, 0.0
 
     def answers(self, now: float) -> bool:
-        """Whether it listens to the bus at a time [s]."""
+        """Whether the node listens to the bus at a time [s]."""
         return self.powered and now >= self._booted
 
     def get(self, prop: int) -> int | None:

@@ -74,7 +74,7 @@ _SOON = 1e-9
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault."""
+    """Fault of a device, a sensor or the bus, from its start for its duration."""
 
     target: str
     word: str
@@ -85,12 +85,12 @@ class Fault:
     """[s]"""
 
     def active(self, now: float) -> bool:
-        """Whether it is there at a time [s]."""
+        """Whether the fault lasts at a time [s]."""
         return self.start - _SOON <= now < self.start + self.duration - _SOON
 
     @property
     def is_event(self) -> bool:
-        """Whether it happens at an instant, to the pendant or a puck."""
+        """Whether the fault is an instant of the pendant or a puck."""
         return self.target == "pendant" or self.target.startswith("puck")
 
 
@@ -140,7 +140,7 @@ def _number(text: str, written: str, what: str) -> float:
 
 
 class Distortion:
-    """What the faults of one sensor make of its readings."""
+    """Applies the faults of one sensor to its readings."""
 
     def __init__(self, target: str, faults: Sequence[Fault], random: np.random.Generator) -> None:
         self._faults = [fault for fault in faults if fault.target == target and fault.word in _SENSOR]
@@ -192,7 +192,7 @@ def _memory(fault: Fault) -> int:
 
 
 class Links:
-    """Which frames are lost, late or doubled."""
+    """Loses, delays and doubles frames as the faults of the bus demand."""
 
     def __init__(self, faults: Sequence[Fault], random: np.random.Generator) -> None:
         self._faults = [fault for fault in faults if fault.word in _FRAMES]
