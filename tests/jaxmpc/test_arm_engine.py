@@ -237,7 +237,8 @@ def test_a_sweep_runs_on_the_arm(tmp_path: Any) -> None:
     experiment = {"published": "table-1", "physics": "wam", "duration": 0.5, "settle": 0.2, "stiffness": [810.0]}
     spec = SweepSpec.from_dict(
         {
-            "experiment": {**experiment, "reference": {"z": -1.0}},
+            # A step of the reference asks for more than a joint gives.
+            "experiment": {**experiment, "reference": {"z": -1.0}, "arm": UNLIMITED},
             "params": {"published": "text"},
             "sweep": {"kind": "grid", "axes": {"lam": [0.01, 0.1, 1.0], "T_cl": [1e-3, 3e-3]}},
         }

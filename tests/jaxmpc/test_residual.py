@@ -156,8 +156,13 @@ def test_frequency_gives_the_residual_of_the_linear_loop(name: str, ideal: bool)
 
 @pytest.mark.oracle
 def test_both_cheap_levels_foretell_the_arm() -> None:
-    """Friction that answers to the tip is missing: reversals come out too sharp, most for a loop with M_s = 4.5."""
-    experiment = Experiment.published("table-1-wam")
+    """Friction that answers to the tip is missing: reversals come out too sharp, most for a loop with M_s = 4.5.
+
+    Neither level knows a limit of the joints, and one of the three asks for more than they give.
+    """
+    table = Experiment.published("table-1-wam")
+    arm = msgspec.structs.replace(table.arm, joint_torque_limit=(0.0,) * 4, torque_step_limit=(0.0,) * 4)
+    experiment = msgspec.structs.replace(table, arm=arm)
     on_arm = np.asarray(evaluate(THREE, experiment).metrics.rms)
     for found in cells(experiment, False):
         ratio = np.asarray(found) / on_arm

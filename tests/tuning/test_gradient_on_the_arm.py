@@ -13,11 +13,12 @@ from tuning.objective.problem import problem_of, training
 Job = Callable[..., dict[str, Any]]
 POINTS, ROWS = 20, 32
 STEP = 1e-3
+UNLIMITED = {"joint_torque_limit": [0.0] * 4, "torque_step_limit": [0.0] * 4}
 QUIET = {
     "published": "table-1-wam",
     "stiffness": [375.0, 1900.0],
     "sensor": {"lsb": [0.0, 0.0, 0.0]},
-    "arm": {"encoder_counts": 0, "torque_lsb": 0.0, "torque_limit": [100.0] * 4},
+    "arm": {"encoder_counts": 0, "torque_lsb": 0.0, "torque_limit": [100.0] * 4, **UNLIMITED},
     "reference": {"z": []},
 }
 """Without quantisers and saturation: their tangent is straight-through on purpose, which no difference sees."""

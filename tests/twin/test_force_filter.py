@@ -9,6 +9,7 @@ from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from jaxmpc import Experiment, Params, evaluate, margins
 from jaxmpc.cli.freeze import freeze_controller
+from jaxmpc.world.heart.motion import Motion
 from tests.twin.flying import fly
 
 TABLE = Experiment.published("table-1-wam")
@@ -32,7 +33,7 @@ def test_a_frozen_force_filter_flies_as_it_is_simulated(tmp_path):
     assert row["M_s"] == pytest.approx(float(simulated.margins.M_s[0]), rel=1e-9)
     assert row["M_s"] > 1.3 * float(margins(params, 810.0, path=TABLE.loop_path()).M_s)
 
-    flight = fly(frozen, stiffness=810.0, seconds=15.0, start=3.5, gap=0.012)
+    flight = fly(frozen, stiffness=810.0, seconds=15.0, motion=Motion(start=3.5), gap=0.012)
     assert flight.reason is Reason.FINISHED
     np.testing.assert_allclose(flight.residual(5.0), np.asarray(simulated.metrics.rms)[0], rtol=0.05)
     # The filter is what keeps the sensor's noise from the arm.

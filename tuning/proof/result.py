@@ -73,8 +73,10 @@ class TuneResult:
         """
         before, after = getattr(self.heldout, metric)[:, self.held[0]]
         power = 2.0 if metric == "rms" else 1.0
-        ratio: np.ndarray = (np.mean(after**power, axis=0) / np.mean(before**power, axis=0)) ** (1.0 / power)
-        return 1.0 - ratio
+        now, then = np.mean(after**power, axis=0), np.mean(before**power, axis=0)
+        # What was nothing and stays nothing, such as the clamped share of the linear loop, has not fallen.
+        ratio: np.ndarray = np.divide(now, then, out=np.where(now > 0.0, np.inf, 1.0), where=then != 0.0)
+        return 1.0 - ratio ** (1.0 / power)
 
     def unmet(self) -> str:
         """Which goal is missed, on which tissue and by how much, of the point that came closest; "" if all are met."""
