@@ -189,6 +189,12 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         motion = msgspec.structs.replace(self.motion, phases="random", seed=seed)
         return msgspec.structs.replace(self, motion=motion, sensor=msgspec.structs.replace(self.sensor, seed=seed))
 
+    def without_limits(self) -> "Experiment":
+        """The same arm, whose joints give whatever is asked for: a study, not a robot."""
+        none = (0.0,) * 4
+        arm = msgspec.structs.replace(self.arm, joint_torque_limit=none, torque_step_limit=none)
+        return msgspec.structs.replace(self, arm=arm)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data, every default written out; for hashes and manifests."""
         data: dict[str, Any] = msgspec.to_builtins(self)

@@ -160,9 +160,7 @@ def test_both_cheap_levels_foretell_the_arm() -> None:
 
     Neither level knows a limit of the joints, and one of the three asks for more than they give.
     """
-    table = Experiment.published("table-1-wam")
-    arm = msgspec.structs.replace(table.arm, joint_torque_limit=(0.0,) * 4, torque_step_limit=(0.0,) * 4)
-    experiment = msgspec.structs.replace(table, arm=arm)
+    experiment = Experiment.published("table-1-wam").without_limits()
     on_arm = np.asarray(evaluate(THREE, experiment).metrics.rms)
     for found in cells(experiment, False):
         ratio = np.asarray(found) / on_arm
