@@ -7,7 +7,6 @@ test holds these formulas against an independent state-space model of the whole 
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Complex
 
 from jaxmpc.law.cascade import Gains
@@ -15,7 +14,7 @@ from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.synthesis.plant import hold_integrals
 from jaxmpc.world.contact import Contact
 
-Response = Complex[Array | np.ndarray, "..."]
+Response = Complex[Array, "..."]
 
 
 def controller_response(gains: Gains, q: Response) -> Response:

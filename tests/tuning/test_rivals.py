@@ -57,7 +57,7 @@ def test_pi_gains_are_a_pi_controller(gains: cascade.Gains) -> None:
 def test_its_frequency_response_is_that_of_a_pi_controller(gains: cascade.Gains) -> None:
     q = np.exp(-1j * np.geomspace(1e-4, np.pi, 50))
     expected = -CONTROLLER.K_p * (1.0 + T_s / CONTROLLER.T_i / (1.0 - q))
-    np.testing.assert_allclose(controller_response(gains, q), expected, rtol=1e-12)
+    np.testing.assert_allclose(controller_response(gains, jnp.asarray(q)), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("K_p", [0.8, 8.0])
