@@ -26,7 +26,7 @@ def numpy_loop(gains: Gains, contacts: Contact, scene: ScenarioData, dtype: Any)
         dtype: Of the arrays.
 
     Returns:
-        Metrics in the order of `Metrics`, shape (6, stiffness, axis, controller).
+        Metrics in the order of `Metrics`, shape (7, stiffness, axis, controller); nothing clamps on the linear loop.
     """
     shape = (len(np.asarray(scene.stiffness)), 3, len(np.asarray(gains.mpc_u)))
 
@@ -113,7 +113,8 @@ def numpy_loop(gains: Gains, contacts: Contact, scene: ScenarioData, dtype: Any)
         v_before[:] = v
     samples = np.maximum(score[0].sum(), 1)
     rms, asked, change = (np.sqrt(total / samples) for total in (squares, effort, chatter))
-    return np.stack([rms, highest - lowest, asked, change, peak, np.maximum(highest, -lowest)])
+    largest = np.maximum(highest, -lowest)
+    return np.stack([rms, highest - lowest, asked, change, peak, largest, np.zeros_like(rms)])
 
 
 def loop_system(gains: Gains, contact: Contact) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -127,7 +128,7 @@ def loop_system(gains: Gains, contact: Contact) -> tuple[np.ndarray, np.ndarray,
         measured = measured + noise
         controller, v = cascade.step(gains, cascade.AxisState(x_hat, p, u, v), measured, (ref,))
         plant, _ = world.move(contact, plant, v)
-        flat = [*controller.x_hat, *controller[1:], *plant[:4], *plant.pending]
+        flat = [*controller.x_hat, controller.p_hat, controller.u, controller.v, *plant[:4], *plant.pending]
         return flat, measured
 
     columns = [step(row, 0.0, 0.0, 0.0) for row in np.eye(size)]

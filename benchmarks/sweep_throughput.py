@@ -66,7 +66,9 @@ def main() -> None:
     brief = msgspec.structs.replace(experiment, duration=4.0, settle=3.0)
     found = evaluate(batch[:8], brief).metrics
     loop = numpy_loop(*first_rows(peers, 8), scenario_data(brief), np.float64)
-    off = max(float(np.max(np.abs(np.moveaxis(a, -1, 0) / b - 1.0))) for a, b in zip(loop, found, strict=True))
+    off = max(
+        float(np.max(np.abs(np.moveaxis(a, -1, 0) - b) / np.maximum(b, 1e-9))) for a, b in zip(loop, found, strict=True)
+    )
     quiet = msgspec.structs.replace(brief, sensor=msgspec.structs.replace(brief.sensor, lsb=(0.0, 0.0, 0.0)))
     gains, contact = one_cell(peers)
     lone = (
@@ -121,10 +123,12 @@ def one_cell(peers: Any) -> Any:
 
 def numpy_rate(loop: Callable[..., Any], cut: Any, scene: Any, dtype: Any, lanes: int) -> float:
     """Axis-steps per second of the numpy loop, over as many steps as take about a second."""
+    import jax
+
     steps = 200
 
     def cut_time(n: int) -> Any:
-        return scene._replace(signals=type(scene.signals)(*(signal[:, :n] for signal in scene.signals)))
+        return scene._replace(signals=jax.tree.map(lambda signal: signal[:, :n], scene.signals))
 
     probe = fastest(lambda: loop(*cut, cut_time(steps), dtype), 1)
     steps = int(np.clip(steps * PEER_SECONDS / probe, steps, scene.signals.score.shape[1]))
