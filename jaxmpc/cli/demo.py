@@ -172,10 +172,7 @@ def _summary(folder: Path, swept: "Result", tuned: "TuneResult", arm: tuple[floa
         "M_s as run",
     )
     print()
-    title = (
-        "residual RMS on unseen motion, worst of tissue and axis, without the robot's limits; margins of the ideal loop"
-    )
-    show(title, header, rows)
+    show("worst residual RMS on unseen motion, without the robot's limits; margins of the ideal loop", header, rows)
     if len(best):
         print(f"best of the sweep with M_s ≤ 2 (table's motion): {1e3 * best.worst_rms[0]:.1f} mN")
     print(f"\neverything lies in {folder}/ ({seconds:.0f} s):")

@@ -160,5 +160,7 @@ def before_after_figure(path: Path, experiment: Experiment, outcome: "Outcome", 
             panel.set_ylim(*(1.45e3 * np.abs(residual).max() * np.array([-1.0, 1.0])))
             panel.set_ylabel(f"{experiment.stiffness[row]:g} N/m\nresidual Z [mN]")
             panel.legend(ncols=2, loc="upper right")
-        panels[0].set_title("Force left over on a beating heart, on motion the tuner had not seen")
+        limited = any(experiment.arm.joint_torque_limit + experiment.arm.torque_step_limit)
+        title = "Force left over on a beating heart, on unseen motion"
+        panels[0].set_title(title if limited else f"{title}, without the robot's limits")
         panels[-1].set_xlabel("time [s]")
