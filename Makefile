@@ -18,7 +18,7 @@ help:  ## this list
 	@echo
 	@echo "Variables: PYTHON=python3.13 (to make the environment with), VENV=.venv (where it lies)"
 
-demo: $(SIM)  ## the whole story: sweep, tune, freeze, replay, with pictures
+demo: $(SIM)  ## the whole story: sweep, tune, freeze, fly, with pictures
 	@$(VENV)/bin/jaxmpc demo
 
 test: $(DEV)  ## the fast tests

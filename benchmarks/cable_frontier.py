@@ -2,12 +2,12 @@
 
     python -m benchmarks.cable_frontier -o DIR [--cutoff 180 600] [--fractions 0.6 0.3] [--tuned PARAMS.toml]
 
-Minimised is the residual of `arm-tune` on its frequency level, over that of the text design with the WAM's own velocity
-filter; held are its margins, and a bound on the share of trials, of those that `jaxmpc trials --hard` begins with, in
-which the linear loop of the whole arm is unstable, no guard (`jaxmpc.law.gain_backoff`) beside it. By CMA-ES, from the
-least strict bound to the strictest, each search begun at the best that is known for its bound; whatever was seen counts
-for every bound that it meets, so fronts are monotone. A local search: a residual that it finds can be had, a lower one
-may be too.
+Minimised is the residual of `arm-unlimited-tune` by its spectra, over that of the text design with the WAM's
+own velocity filter; held are its margins, and a bound on the share of trials, of those that `jaxmpc trials --hard`
+begins with, in which the linear loop of the whole arm is unstable, no guard (`jaxmpc.law.gain_backoff`) beside it. By
+CMA-ES, from the least strict bound to the strictest, each search begun at the best that is known for its bound;
+whatever was seen counts for every bound that it meets, so fronts are monotone. A local search: a residual that it finds
+can be had, a lower one may be too.
 """
 
 import argparse
@@ -83,14 +83,14 @@ class Room(NamedTuple):
 
 def room_of(cutoff: float, count: int) -> Room:
     """The tuner's room and objective with a velocity filter [rad/s], and so many hard trials."""
-    guarded = TuneSpec.from_toml(Path(str(resources.files("jaxmpc") / "examples" / "arm-tune.toml")))
+    guarded = TuneSpec.from_toml(Path(str(resources.files("jaxmpc") / "examples" / "arm-unlimited-tune.toml")))
     bare = Params.from_dict({**guarded.params.to_dict(), "guarded": False})
     published = msgspec.structs.replace(guarded, params=bare)
     experiment = msgspec.structs.replace(published.experiment, velocity_lowpass=cutoff)
     spec = msgspec.structs.replace(published, experiment=experiment)
-    problem = problem_of(spec, "frequency", training(spec, spec.tune.train_seeds))
+    problem = problem_of(spec, training(spec, spec.tune.train_seeds), spectral=True)
     if cutoff != published.experiment.velocity_lowpass:
-        own = problem_of(published, "frequency", training(published, published.tune.train_seeds))
+        own = problem_of(published, training(published, published.tune.train_seeds), spectral=True)
         problem = problem._replace(data=problem.data._replace(reference=own.data.reference))
     evaluate, space = evaluator(problem, mpc_aob), spec.space
     job = Job((spec.params,), experiment, HARD)

@@ -23,7 +23,8 @@ FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
 class Ops:
     """Scalar functions on CasADi expressions and plain numbers."""
 
-    sin, cos, exp, sqrt, floor = casadi.sin, casadi.cos, casadi.exp, casadi.sqrt, casadi.floor
+    sin, cos, floor = casadi.sin, casadi.cos, casadi.floor
+    exp, log, sqrt = casadi.exp, casadi.log, casadi.sqrt
     minimum, maximum = casadi.fmin, casadi.fmax
 
     @staticmethod
@@ -72,7 +73,7 @@ def _step(
     empty = (controller, body, (0.0,) * 6)
     leaves = _flat(empty)
     x = casadi.SX.sym("x", len(leaves))
-    signals = [np.asarray(field)[0] for field in scene.signals]
+    signals = [np.asarray(field)[0] for field in scene.signals[:8]]
     steps = signals[0].shape[0]
     columns = [field.reshape(steps, -1) for field in signals[:5]]
     sizes = [column.shape[1] for column in columns]
@@ -85,7 +86,7 @@ def _step(
         for i in range(kind.substeps)
     ]
     now = robot.HeartSample(tuple(heart[:3]), tuple(heart[3:]))
-    force, q, _, body = robot.sense(chain, kind, constants, body, now, tuple(noise), Ops)
+    force, _, q, _, body = robot.sense(chain, kind, constants, body, now, tuple(noise), Ops)
     refs = tuple((value,) for value in wanted)
     controller, command = force_control.step(law, controller, q, force, refs, Ops)
     passed, _ = torque_limits.limit(constants.limits, command.torque.torque, body.pending[0], Ops)

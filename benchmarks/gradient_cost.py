@@ -31,7 +31,6 @@ def job(diagonals: list[str]) -> TuneSpec:
             "experiment": {"published": "table-1-wam", "reference": {"z": []}},
             "scenarios": {"friction": 0.3, "mass": 0.1},
             "tune": {
-                "levels": ["arm"],
                 "starts": STARTS,
                 "train_seeds": [0, 1, 2],
                 "duration": 2.0,
@@ -79,7 +78,7 @@ def main() -> None:
     times = {}
     for name, diagonals in (("scalars", []), ("diagonals", ["lam", "delta"])):
         spec = job(diagonals)
-        problem = problem_of(spec, "arm", training(spec, spec.tune.train_seeds))
+        problem = problem_of(spec, training(spec, spec.tune.train_seeds))
         z = np.tile(spec.space.encode(spec.params), (STARTS, 1))
         if not diagonals:
             times["simulation"] = seconds(forward(problem, z))

@@ -33,7 +33,7 @@ def grid(spec: TuneSpec, tuned: Params, steps: int) -> dict[tuple[int, int], flo
         for p, u in product(range(Hp - AROUND_HP, Hp + AROUND_HP + 1), range(Hu - AROUND_HU, Hu + AROUND_HU + 1))
         if 2 <= p <= HP_MAX and 1 <= u <= min(p, HU_MAX)
     ]
-    problem = problem_of(spec, spec.ladder[-1], training(spec, spec.tune.train_seeds))
+    problem = problem_of(spec, training(spec, spec.tune.train_seeds))
     z = np.stack([spec.space.encode(tuned.with_columns({"Hp": [p], "Hu": [u]})[0]) for p, u in pairs])
     still = np.array([name in HORIZONS for name in spec.space.names])
     return dict(zip(pairs, polished(problem, z, still, steps), strict=True))

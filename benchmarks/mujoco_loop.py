@@ -28,7 +28,7 @@ PAPER_RMS = {375.0: (0.08, 0.06, 0.09), 810.0: (0.08, 0.06, 0.08), 1900.0: (0.07
 
 
 class Gains(NamedTuple):
-    """One controller, as in `jaxmpc.law.cascade.Gains`, with its damping."""
+    """One controller, as in `jaxmpc.law.gains.Gains`, with its damping."""
 
     phi: Any
     gamma: Any

@@ -8,7 +8,7 @@ import scipy.signal
 
 from jaxmpc.engine.base import ScenarioData
 from jaxmpc.law import cascade
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.world import contact as world
 from jaxmpc.world.contact import Contact
 
@@ -26,7 +26,8 @@ def numpy_loop(gains: Gains, contacts: Contact, scene: ScenarioData, dtype: Any)
         dtype: Of the arrays.
 
     Returns:
-        Metrics in the order of `Metrics`, shape (7, stiffness, axis, controller); nothing clamps on the linear loop.
+        Metrics in the order of `Metrics`, shape (11, stiffness, axis, controller): without how the force swings,
+        which is last and which nobody asks here. The linear loop has no joints.
     """
     shape = (len(np.asarray(scene.stiffness)), 3, len(np.asarray(gains.mpc_u)))
 
@@ -50,13 +51,15 @@ def numpy_loop(gains: Gains, contacts: Contact, scene: ScenarioData, dtype: Any)
     score, lsb = np.asarray(scene.signals.score), np.asarray(scene.lsb, dtype)[None, :, None]
 
     y_hat, r_hat, d_hat, p, u, v, x, xdot, one, two, e = (np.zeros(shape, dtype) for _ in range(11))
-    squares, effort, chatter, peak, v_before = (np.zeros(shape, dtype) for _ in range(5))
+    squares, true_squares, effort, chatter, peak, v_before, true = (np.zeros(shape, dtype) for _ in range(7))
     scored = np.asarray(scene.signals.score, dtype)
-    highest, lowest = np.full(shape, -np.inf, dtype), np.full(shape, np.inf, dtype)
+    highest, true_highest = (np.full(shape, -np.inf, dtype) for _ in range(2))
+    lowest, true_lowest = (np.full(shape, np.inf, dtype) for _ in range(2))
     for k in range(score.shape[1]):
         heart, noise, ref = (s[:, k][None, :, None] for s in signals)
         np.subtract(x, heart, out=one)
         one *= K_s
+        np.subtract(one, ref, out=true)
         one += noise
         one /= lsb
         one += 0.5
@@ -100,9 +103,10 @@ def numpy_loop(gains: Gains, contacts: Contact, scene: ScenarioData, dtype: Any)
         np.abs(force, out=two)
         np.maximum(peak, two, out=peak)
         force -= ref
-        np.maximum(highest, force, out=highest, where=counts > 0.0)
-        np.minimum(lowest, force, out=lowest, where=counts > 0.0)
-        for total, value in ((squares, force), (effort, v)):
+        for high, low, value in ((highest, lowest, force), (true_highest, true_lowest, true)):
+            np.maximum(high, value, out=high, where=counts > 0.0)
+            np.minimum(low, value, out=low, where=counts > 0.0)
+        for total, value in ((squares, force), (true_squares, true), (effort, v)):
             np.multiply(value, value, out=two)
             two *= counts
             total += two
@@ -112,9 +116,11 @@ def numpy_loop(gains: Gains, contacts: Contact, scene: ScenarioData, dtype: Any)
         chatter += two
         v_before[:] = v
     samples = np.maximum(score[0].sum(), 1)
-    rms, asked, change = (np.sqrt(total / samples) for total in (squares, effort, chatter))
+    rms, true_rms, asked, change = (np.sqrt(total / samples) for total in (squares, true_squares, effort, chatter))
     largest = np.maximum(highest, -lowest)
-    return np.stack([rms, highest - lowest, asked, change, peak, largest, np.zeros_like(rms)])
+    none, spans = np.zeros_like(rms), (highest - lowest, true_highest - true_lowest)
+    joints = none, none, none
+    return np.stack([rms, spans[0], true_rms, spans[1], asked, change, peak, largest, *joints])
 
 
 def loop_system(gains: Gains, contact: Contact) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

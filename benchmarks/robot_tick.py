@@ -21,7 +21,8 @@ import numpy as np
 from benchmarks import mujoco_loop
 from deploy.controller.file import load
 from deploy.controller.runtimes import arm_runtime, flown_controller
-from jaxmpc.law import cascade, force_control
+from jaxmpc.law import force_control
+from jaxmpc.law.gains import constant_reference
 from jaxmpc.law.ops import FLOATS
 from tests.deploy import made
 
@@ -62,7 +63,7 @@ def on_floats(artifact: Any, rows: Rows) -> Callable[[int], Any]:
 def by_mujoco(artifact: Any, rows: Rows) -> Callable[[int], Any]:
     import mujoco
 
-    arm, gains = artifact.arm, cascade.constant_reference(artifact.gains)
+    arm, gains = artifact.arm, constant_reference(artifact.gains)
     loop = mujoco_loop.Loop(mass_scale=arm.nominal.mass_scale, tool_mass_error=arm.nominal.tool_error)
     nominal = mujoco_loop.NominalArm(mujoco.MjModel.from_xml_path(str(mujoco_loop.WAM)), loop)
     cascades = mujoco_loop.Cascade(mujoco_loop.Gains.of(gains, artifact.K2))

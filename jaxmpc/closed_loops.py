@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxmpc.engine.base import CellResults, ProgramSpec, ScenarioData
 from jaxmpc.engine.registry import choose
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import ArmSample
 from jaxmpc.loop.linear import HIGHEST_FORCE, Sample
 from jaxmpc.metrics import Metrics

@@ -68,7 +68,7 @@ def evaluate(
             raise InputError(key, value, "a known one", nearest(str(value), list(get_args(kind))))
     batch = params.batch_shape
     flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), params)
-    scene, world = scenario_data(experiment), program_spec(experiment)
+    scene, world = scenario_data(experiment, swinging=True), program_spec(experiment)
     loops = _close(flat, scene.stiffness, scene.path)
 
     def judge() -> Margins:

@@ -1,6 +1,6 @@
 """What is measured of a run, gathered on the way so that no trajectory need be kept."""
 
-from math import inf
+from math import inf, nan
 from typing import Any, NamedTuple
 
 from jaxtyping import Array, Float
@@ -15,12 +15,28 @@ class Totals(NamedTuple):
     error_squared: Lane
     highest_error: Lane
     lowest_error: Lane
+    true_squared: Lane
+    highest_true: Lane
+    lowest_true: Lane
     acceleration_squared: Lane
     change_squared: Lane
     highest_force: Lane
     """Over all samples, also those that do not count [N]."""
     largest_error: Lane
     """The same of |error| [N]."""
+    swing_squared: Lane
+    """Over the end of the run alone, whatever counts [N²]."""
+
+
+class JointTotals(NamedTuple):
+    """The same of the joints, which all axes share."""
+
+    clamped: Lane
+    """Number of all samples at which a torque limit acted."""
+    torque: Lane
+    """Largest |torque| wanted of a joint, over all samples [N m]."""
+    step: Lane
+    """Largest change of it from one sample to the next, while any axis counts [N m]."""
 
 
 class Metrics(NamedTuple):
@@ -30,6 +46,10 @@ class Metrics(NamedTuple):
     """Residual e = y_measured − F_d, root mean square about zero [N]."""
     peak_to_peak: Float[Array, "..."]
     """Largest minus smallest residual [N]."""
+    true_rms: Float[Array, "..."]
+    """Residual of the force on the tissue itself, without noise, rounding and filter of the sensor, RMS [N]."""
+    true_peak_to_peak: Float[Array, "..."]
+    """Its largest minus its smallest [N]."""
     effort: Float[Array, "..."]
     """Root mean square of the acceleration asked of the robot [m/s²]."""
     chatter: Float[Array, "..."]
@@ -39,25 +59,51 @@ class Metrics(NamedTuple):
     peak_error: Float[Array, "..."]
     """Largest |residual| [N]."""
     clamped: Float[Array, "..."]
-    """Share of all samples at which a torque limit acted, the same on each axis [-]."""
+    """Share of all samples at which a torque limit acted, the same on each axis [-]; 0 on the linear loop."""
+    joint_torque: Float[Array, "..."]
+    """Largest |torque| that the law wanted of any joint, over the whole run [N m]; the rest as for `clamped`."""
+    torque_step: Float[Array, "..."]
+    """Largest change of it from one sample to the next while scored [N m]; the rest as for `clamped`."""
+    swing: Float[Array, "..."]
+    """True force above 12 Hz, RMS over the last 10 s of the run [N], see `jaxmpc.swing`; NaN unless `scenario_data` was
+    asked for it."""
 
 
 def nothing(like: Lane) -> Totals:
     """Totals before the first sample."""
     zero = 0.0 * like
-    return Totals(zero, zero - inf, zero + inf, zero, zero, zero, zero)
+    low, high = zero - inf, zero + inf
+    return Totals(zero, low, high, zero, low, high, zero, zero, zero, zero, zero)
 
 
-def add(totals: Totals, counts: Any, error: Lane, a: Lane, change: Lane, force: Lane, ops: Any) -> Totals:
+def no_joints(like: Lane) -> JointTotals:
+    """Totals of the joints before the first sample, and of a loop that has none."""
+    zero = 0.0 * like
+    return JointTotals(zero, zero, zero)
+
+
+def add(
+    totals: Totals,
+    counts: Any,
+    error: Lane,
+    true_error: Lane,
+    a: Lane,
+    change: Lane,
+    force: Lane,
+    swing: Lane,
+    ops: Any,
+) -> Totals:
     """Totals with one more sample.
 
     Args:
         totals: So far.
         counts: Whether this sample counts.
         error: Measured minus wanted force [N].
+        true_error: True minus wanted force [N].
         a: Acceleration asked of the robot [m/s²].
         change: Its change since the last sample [m/s²].
         force: Measured force [N].
+        swing: True force above 12 Hz if this sample is of the end of the run, else 0 [N].
         ops: Scalar functions.
     """
     weight = ops.where(counts, 1.0, 0.0)
@@ -65,11 +111,33 @@ def add(totals: Totals, counts: Any, error: Lane, a: Lane, change: Lane, force: 
         totals.error_squared + weight * error * error,
         ops.where(counts, ops.maximum(totals.highest_error, error), totals.highest_error),
         ops.where(counts, ops.minimum(totals.lowest_error, error), totals.lowest_error),
+        totals.true_squared + weight * true_error * true_error,
+        ops.where(counts, ops.maximum(totals.highest_true, true_error), totals.highest_true),
+        ops.where(counts, ops.minimum(totals.lowest_true, true_error), totals.lowest_true),
         totals.acceleration_squared + weight * a * a,
         totals.change_squared + weight * change * change,
         ops.maximum(totals.highest_force, abs(force)),
         ops.maximum(totals.largest_error, abs(error)),
+        totals.swing_squared + swing * swing,
     )
+
+
+def add_joints(totals: JointTotals, counts: Any, clamped: Lane, wanted: Any, before: Any, ops: Any) -> JointTotals:
+    """Totals of the joints with one more sample.
+
+    Args:
+        totals: So far.
+        counts: Whether this sample counts on any axis.
+        clamped: 1 if a torque limit acted, else 0.
+        wanted: Torques that the law wanted, a scalar per joint [N m].
+        before: Those of the sample before [N m].
+        ops: Scalar functions.
+    """
+    largest, change = totals.torque, 0.0
+    for now, then in zip(wanted, before, strict=True):
+        largest, change = ops.maximum(largest, abs(now)), ops.maximum(change, abs(now - then))
+    step = ops.where(counts, ops.maximum(totals.step, change), totals.step)
+    return JointTotals(totals.clamped + clamped, largest, step)
 
 
 def merge(first: Totals, second: Totals, ops: Any) -> Totals:
@@ -78,34 +146,51 @@ def merge(first: Totals, second: Totals, ops: Any) -> Totals:
         first.error_squared + second.error_squared,
         ops.maximum(first.highest_error, second.highest_error),
         ops.minimum(first.lowest_error, second.lowest_error),
+        first.true_squared + second.true_squared,
+        ops.maximum(first.highest_true, second.highest_true),
+        ops.minimum(first.lowest_true, second.lowest_true),
         first.acceleration_squared + second.acceleration_squared,
         first.change_squared + second.change_squared,
         ops.maximum(first.highest_force, second.highest_force),
         ops.maximum(first.largest_error, second.largest_error),
+        first.swing_squared + second.swing_squared,
     )
 
 
-def metrics(totals: Totals, samples: Lane, clamped: Lane, ops: Any) -> Metrics:
+def merge_joints(first: JointTotals, second: JointTotals, ops: Any) -> JointTotals:
+    """The same of the joints."""
+    largest = ops.maximum(first.torque, second.torque), ops.maximum(first.step, second.step)
+    return JointTotals(first.clamped + second.clamped, *largest)
+
+
+def metrics(totals: Totals, samples: Lane, steps: Lane, late: Lane | None, joints: JointTotals, ops: Any) -> Metrics:
     """Metrics of a finished run.
 
     Args:
         totals: Over the run.
         samples: How many samples counted; broadcasts against the totals.
-        clamped: Share of all samples at which a torque limit acted [-].
+        steps: How many samples there were.
+        late: How many of them were of the end of the run; None if nobody asked how the force swings.
+        joints: Over the run.
         ops: Scalar functions.
     """
 
-    def root_mean(sum_of_squares: Lane) -> Lane:
-        mean = sum_of_squares / samples
+    def root_mean(sum_of_squares: Lane, count: Lane = samples) -> Lane:
+        mean = sum_of_squares / count
         # The slope of a root at 0 is infinite; a run without any residual has none to tune.
         return ops.where(mean > 0.0, ops.sqrt(ops.where(mean > 0.0, mean, 1.0)), mean)
 
     return Metrics(
         rms=root_mean(totals.error_squared),
         peak_to_peak=totals.highest_error - totals.lowest_error,
+        true_rms=root_mean(totals.true_squared),
+        true_peak_to_peak=totals.highest_true - totals.lowest_true,
         effort=root_mean(totals.acceleration_squared),
         chatter=root_mean(totals.change_squared),
         peak_force=totals.highest_force,
         peak_error=ops.maximum(totals.highest_error, -totals.lowest_error),
-        clamped=clamped,
+        clamped=joints.clamped / steps,
+        joint_torque=joints.torque,
+        torque_step=joints.step,
+        swing=totals.swing_squared + nan if late is None else root_mean(totals.swing_squared, late),
     )

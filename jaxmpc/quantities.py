@@ -93,9 +93,11 @@ class Metric(Quantity):
     """What a run measures, per tissue and axis."""
 
     spectral: bool = False
-    """Whether a spectrum tells it; what only time tells follows the residual's RMS there."""
+    """Whether a spectrum tells it."""
     crest: float = 1.0
     """Its usual ratio to the residual's RMS, where that stands in for it; a weight, no more."""
+    follows: str = "rms"
+    """The metric that a spectrum tells and that it grows with, where spectra are corrected by runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +130,19 @@ METRICS = _table(
     Metric("rms", "N", "residual force, root mean square", "RMS", "ceiling", "RMS", "mN", 1e3, 1, spectral=True),
     # 5.7 to 6.6 times the RMS on Table I's arm.
     Metric("peak_to_peak", "N", "residual force, peak to peak", "pp", "ceiling", "pp", "mN", 1e3, 1, crest=6.0),
+    Metric("true_rms", "N", "true residual, root mean square", "true RMS", "ceiling", "true RMS", "mN", 1e3, 1, True),
+    Metric(
+        "true_peak_to_peak",
+        "N",
+        "true residual, largest span",
+        "true pp",
+        head="true pp",
+        shown_unit="mN",
+        times=1e3,
+        digits=1,
+        crest=6.0,
+        follows="true_rms",
+    ),
     Metric("effort", "m/s²", "acceleration asked of the robot, root mean square", "$a$", spectral=True),
     Metric("chatter", "m/s²", "its change from sample to sample, root mean square", r"$\Delta a$", spectral=True),
     Metric("peak_force", "N", "largest force over the whole run", "$|y|$", head="peak force"),
@@ -140,7 +155,20 @@ METRICS = _table(
         head="clamped",
         shown_unit="%",
         times=100.0,
+        follows="chatter",
     ),
+    Metric(
+        "joint_torque", "N m", "largest torque wanted of a joint", r"$|\tau|$", head="joint torque", follows="chatter"
+    ),
+    Metric(
+        "torque_step",
+        "N m",
+        "largest change of it per sample",
+        r"$|\Delta\tau|$",
+        head="torque step",
+        follows="chatter",
+    ),
+    Metric("swing", "N", "true force above 12 Hz", "swing", "ceiling", "swing", "mN", 1e3, 1, spectral=True),
 )
 """Fields of `jaxmpc.metrics.Metrics`."""
 
@@ -153,6 +181,8 @@ MARGINS = _table(
     Quantity("spectral_radius", "-", "largest eigenvalue of the closed loop", r"$\rho$", head="radius", digits=4),
 )
 """Fields of `jaxmpc.stability.Margins`, but for the status."""
+HIGHEST_M_S = 2.0
+"""Held by the tuner and promised by a frozen controller unless told otherwise [-]."""
 
 PARAMETERS = _table(
     Parameter("lam", "-", "weight on moves", "λ", bounds=(1e-12, 1e12), search=(1e-4, 1e3, 1.0), entries=HU_MAX),

@@ -84,6 +84,10 @@ def _frame(axes: Any, M_s: np.ndarray, rms: np.ndarray, baseline: Point | None) 
     return int(outside.sum())
 
 
+RESIDUALS = ("rms", "true_rms")
+"""As the sensor reads it, which is what ranks, and of the force itself."""
+
+
 def table(result: Result, n: int = 10, max_M_s: float = 2.0) -> str:
     """The best rows as aligned text: swept parameters, worst-case residual and margins.
 
@@ -97,12 +101,13 @@ def table(result: Result, n: int = 10, max_M_s: float = 2.0) -> str:
         stable = int((result["status"] == Status.OK).all(axis=1).sum())
         return f"no row has M_s ≤ {max_M_s:g} at every stiffness; {stable} of {len(result)} are stable at every one"
     swept = [axis.name for axis in result.plan.space.axes]
-    columns = [best["row"], *(best[name] for name in swept), METRICS["rms"].times * best.worst_rms]
+    columns = [best["row"], *(best[name] for name in swept)]
+    columns += [METRICS[name].times * best[name].max(axis=(1, 2)) for name in RESIDUALS]
     columns += [margin.times * margin.worst(best[name], axis=1) for name, margin in MARGINS.items()]
-    shown = [*(PARAMETERS[name] for name in swept), METRICS["rms"], *MARGINS.values()]
+    shown = [*(PARAMETERS[name] for name in swept), *(METRICS[name] for name in RESIDUALS), *MARGINS.values()]
     lines = [["row", *(quantity.heading for quantity in shown)]]
     lines += [[f"{row}", *(f"{value:.4g}" for value in values)] for row, *values in zip(*columns, strict=True)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     text = ["  ".join(word.rjust(width) for word, width in zip(line, widths, strict=True)) for line in lines]
-    title = f"best rows with M_s ≤ {max_M_s:g}; rms, M_s and margins are the worst over stiffness (and axis)"
+    title = f"best rows with M_s ≤ {max_M_s:g}; RMS, M_s and margins are the worst over stiffness (and axis)"
     return "\n".join([title, *text])

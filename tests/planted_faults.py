@@ -29,7 +29,11 @@ FAULTS = (
     Fault("tissue-changes-ignored", "stiffness=tissue.stiffness * now.softening", "stiffness=tissue.stiffness"),
     Fault("lost-contact-inverted", "indented < 0.0", "indented > 0.0"),
     Fault("sign-in-forward-dynamics", "tuple(dt - dr for dt, dr in zip(", "tuple(dt + dr for dt, dr in zip("),
-    Fault("no-anti-windup", "return add(command.v, lost)", "return command.v"),
+    Fault(
+        "no-anti-windup",
+        "return add(command.v, computed_torque.acceleration_of(command.torque, change)), change",
+        "return command.v, change",
+    ),
     Fault(
         "velocity-filtered-twice",
         "new + pole * (old - new) for new, old in zip(raw",

@@ -35,6 +35,8 @@ TWIN_MAY_IMPORT = (
     "jaxmpc.world.heart.motion",
     *ON_TWIN,
 )
+# Connects design and simulation to the robot's checks, for the verb and for the tuner.
+FREEZING = "jaxmpc.export.freezing"
 STRAIGHTLINE = "deploy/runtime/straightline.py"
 UNSAFE_MODULES = ("marshal", "pickle", "shelve", "yaml")
 JAX = {"equinox", "jax", "jaxlib", "jaxtyping", "optax"}
@@ -66,6 +68,8 @@ def refusal(path: str, found: Import) -> str | None:
     if within(module, ON_TWIN) and not found.deferred:
         allowed = standard or within(name, (*ROBOT_MAY_IMPORT, *TWIN_MAY_IMPORT))
         return None if allowed else "the twin loads this module"
+    if module == FREEZING and within(name, ("deploy.controller",)):
+        return None
     if module.startswith("jaxmpc") and not within(module, ("jaxmpc.cli",)):
         above = within(name, ("sweeps", "tuning", "deploy", "jaxmpc.cli"))
         return "jaxmpc is below it" if above and module != "jaxmpc.__main__" else None
@@ -122,6 +126,8 @@ def test_source_keeps_to_its_layer(path: str) -> None:
         ("jaxmpc/files/sealed.py", "numpy.load('f', allow_pickle=True)"),
         ("jaxmpc/synthesis/params.py", "class A:\n    def f(self):\n        from tuning import tune"),
         ("jaxmpc/evaluation.py", "import sweeps.run"),
+        ("jaxmpc/export/freezing.py", "from deploy.loop import session"),
+        ("jaxmpc/export/golden.py", "from deploy.controller.limits import Limits"),
         ("sweeps/run.py", "import tuning"),
         ("sweeps/run.py", "from jaxmpc.cli import main"),
         ("tuning/search/optimise.py", "from deploy.runtime.linear import Runtime"),

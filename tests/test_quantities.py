@@ -30,7 +30,7 @@ EVERY = {**METRICS, **MARGINS, **PARAMETERS}
 def test_everything_computed_has_a_row_and_the_other_way_round() -> None:
     assert tuple(METRICS) == Metrics._fields
     assert (*MARGINS, "status") == Margins._fields
-    assert (*PARAMETERS, *STRUCTURE) == tuple(field.name for field in fields(Params))
+    assert (*PARAMETERS, *STRUCTURE, "knots") == tuple(field.name for field in fields(Params))
     assert len(EVERY) == len(METRICS) + len(MARGINS) + len(PARAMETERS)
 
 

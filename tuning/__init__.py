@@ -12,7 +12,7 @@ from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.files import write
 from tuning.reports.text import report
 from tuning.search.front import Front, pareto
-from tuning.search.multifidelity import run_levels
+from tuning.search.run import run_search
 
 __all__ = [
     "Front",
@@ -49,7 +49,7 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
-    result = assess(run_levels(spec, place, progress), progress)
+    result = assess(run_search(spec, place, progress), progress)
     if place is not None:
         write(result, place)
     return result

@@ -1,11 +1,11 @@
 """The gradient tuner beside its rivals: `python -m benchmarks.rivals -o DIR`, again to go on where it was stopped.
 
 All minimise the tuner's own objective, log risk and penalties, in the tuner's own room. The rivals are random search,
-Optuna's TPE and CMA-ES, each from the given parameters, and once more from what the coarse level of the tuner's own run
+Optuna's TPE and CMA-ES, each from the given parameters, and once more from what the spectra of the tuner's own run
 with the same seed proposed, at its cost; and a PI controller with damping, by a textbook rule and tuned by CMA-ES.
 
 An evaluation simulates scenarios × tissues × samples steps. A look of the tuner counts as evaluations of its starts
-times the cost ratio of a gradient, measured here at the same batch; its coarse level, which may step no time, as
+times the cost ratio of a gradient, measured here at the same batch; its descent on spectra, which steps no time, as
 the evaluations that its wall-clock is worth. Compilation is left out, and reported by itself.
 """
 
@@ -49,8 +49,7 @@ def compare(out: Path, file: Path, experiment: str | None, seeds: int, evaluatio
     from tuning import TuneSpec
 
     spec = TuneSpec.from_toml(file)
-    # A round adds a scenario to the tuner's objective, which then is another one.
-    changes = {"tune": msgspec.structs.replace(spec.tune, rounds=0, seed=0)}
+    changes = {"tune": msgspec.structs.replace(spec.tune, seed=0)}
     spec = msgspec.structs.replace(spec, **changes)
     if experiment:
         spec = msgspec.structs.replace(spec, experiment=Experiment.published(experiment))

@@ -49,7 +49,7 @@ def prepared(spec: TuneSpec, key: str, path: Path) -> Costs:
     Raises:
         InputError: The folder is of another job.
     """
-    problem = problem_of(spec, spec.ladder[-1], training(spec, spec.tune.train_seeds))
+    problem = problem_of(spec, training(spec, spec.tune.train_seeds))
     starts = spec.tune.starts
     many = vectors(problem.structure.axes, np.random.default_rng(0).uniform(size=(BATCH, spec.space.size)))
     many[0] = spec.space.encode(spec.params)

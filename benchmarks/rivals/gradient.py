@@ -1,4 +1,4 @@
-"""The tuner of this package under a stopwatch: its `run_levels` as it is, every look timed and counted."""
+"""The tuner of this package under a stopwatch: its `run_search` as it is, every look timed and counted."""
 
 import time
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from benchmarks.rivals.record import Clock, Run, Spent
 from tuning.job.spec import TuneSpec
 from tuning.objective.loss import Values
 from tuning.objective.problem import Problem
-from tuning.search.multifidelity import run_levels
+from tuning.search.run import run_search
 
 
 def tuned(spec: TuneSpec, cost_ratio: float, rate: float, steps: int) -> Run:
@@ -21,7 +21,7 @@ def tuned(spec: TuneSpec, cost_ratio: float, rate: float, steps: int) -> Run:
     Args:
         spec: The job; its seed draws the random starts.
         cost_ratio: What a look with its gradient costs per controller, relative to an evaluation [-].
-        rate: Simulated steps per second of evaluations: whatever the tuner does but run the last level steps no time
+        rate: Simulated steps per second of evaluations: whatever the tuner does but run controllers steps no time
             there, and counts as many steps as its wall-clock is worth.
         steps: Simulated steps of an evaluation.
     """
@@ -32,7 +32,7 @@ def tuned(spec: TuneSpec, cost_ratio: float, rate: float, steps: int) -> Run:
     clock = Clock()
 
     def so_far() -> Spent:
-        worth = rate * max(clock.spent(0.0, 0.0).seconds - running, 0.0) / steps if len(spec.ladder) > 1 else 0.0
+        worth = rate * max(clock.spent(0.0, 0.0).seconds - running, 0.0) / steps if spec.on_arm else 0.0
         return clock.spent(counted + worth, (counted + worth) * steps)
 
     def timed(original: Callable[..., Values], price: float) -> Callable[..., Values]:
@@ -67,13 +67,13 @@ def tuned(spec: TuneSpec, cost_ratio: float, rate: float, steps: int) -> Run:
         mock.patch.object(Problem, "differentiate", timed(Problem.differentiate, cost_ratio)),
         mock.patch.object(Problem, "evaluate", timed(evaluated, 1.0)),
     ):
-        run_levels(spec)
+        run_search(spec)
     own = clock.spent(0.0, 0.0).seconds - inside
     return Run(np.array(spent), np.array(least), *best[1:], own, starts, np.array(coarse))
 
 
 def decides(problem: Problem, spec: TuneSpec) -> bool:
-    """Whether a problem is that of the last level."""
+    """Whether a problem is the one by runs."""
     return problem.data.spectra is None and (problem.structure.world.robot is None) == (
         spec.experiment.physics == "linear"
     )
@@ -82,5 +82,5 @@ def decides(problem: Problem, spec: TuneSpec) -> bool:
 def warmed_up(spec: TuneSpec) -> float:
     """Compile every program of the tuner, by climbing in as few steps as there can be; seconds that this takes."""
     began = time.perf_counter()
-    run_levels(msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, steps=1, mapping=2)))
+    run_search(msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, steps=1, mapping=2)))
     return time.perf_counter() - began

@@ -43,7 +43,7 @@ def evaluator(problem: Problem, law: Law, rows: int = BATCH) -> Callable[[np.nda
     """The objective of any number of unconstrained vectors (n, size), so many at a time on all devices.
 
     Args:
-        problem: The tuner's problem on its last level.
+        problem: The tuner's problem by runs.
         law: What a vector stands for: `mpc_aob` or `pi_control`.
         rows: How many at a time.
     """

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.experiment import Experiment
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.quantities import HP_MAX
 from tuning.job.space import FreeParameter
 

@@ -17,7 +17,7 @@ class Spent(NamedTuple):
     """What has been spent since the beginning of a run."""
 
     evaluations: float = 0.0
-    """Controllers evaluated on the deciding level; a gradient counts at its cost ratio."""
+    """Controllers evaluated by runs; a gradient counts at its cost ratio."""
     steps: float = 0.0
     """Simulated steps, likewise; what steps no time counts as the steps that its wall-clock is worth."""
     seconds: float = 0.0
@@ -60,7 +60,7 @@ class Run:
     own: float
     """Seconds that were not spent in the objective: the tuner's own."""
     starts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    """What the coarse level proposed, (starts, size)."""
+    """What the spectra proposed, (starts, size)."""
     coarse: np.ndarray = field(default_factory=lambda: np.zeros(4))
     """What that had cost, (4,)."""
 

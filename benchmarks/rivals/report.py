@@ -92,7 +92,7 @@ def _share(runs: Runs, name: str, loss: float, column: str) -> float:
 def picture(runs: Runs, spec: TuneSpec, path: Path) -> None:
     """How far the best loss so far lies above the least of all, over simulated steps and over wall-clock.
 
-    Every run is a thin line, the median a thick one; whoever began at the coarse level's proposals is dashed.
+    Every run is a thin line, the median a thick one; whoever began at the spectra's proposals is dashed.
     """
     least = min(run.best[-1] for found in runs.values() for run in found)
 

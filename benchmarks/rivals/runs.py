@@ -16,8 +16,8 @@ GRADIENT, PI, TEXTBOOK, COARSE = "gradient", "PI, CMA-ES", "PI, textbook", " + c
 
 
 def names(spec: TuneSpec) -> list[str]:
-    """Everybody, the tuner first: others start where its coarse level ended."""
-    ends = ["", COARSE] if len(spec.ladder) > 1 else [""]
+    """Everybody, the tuner first: others start where its descent on spectra ended."""
+    ends = ["", COARSE] if spec.on_arm else [""]
     return [GRADIENT, *(tuner + end for tuner in TUNERS for end in ends), PI, TEXTBOOK]
 
 
@@ -43,7 +43,7 @@ def run(name: str, seed: int, spec: TuneSpec, evaluations: int, costs: Costs, pr
     coarse = proposed if name.endswith(COARSE) else None
     clock = Clock(Spent(*coarse.coarse.tolist()) if coarse else None)
     # As the tuner does, everybody builds the problem by himself, which runs the controller before tuning once.
-    problem = problem_of(spec, spec.ladder[-1], training(spec, spec.tune.train_seeds))
+    problem = problem_of(spec, training(spec, spec.tune.train_seeds))
     if name in (PI, TEXTBOOK):
         textbook = pi.encode(pi.textbook(spec.experiment))[None]
         tuner, budget = TUNERS["CMA-ES"](len(pi.AXES), seed), 1 if name == TEXTBOOK else evaluations

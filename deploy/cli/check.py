@@ -47,8 +47,10 @@ def run(args: argparse.Namespace) -> int:
     print(f"  T_s         {artifact.T_s:g} s\n  K2          {artifact.K2:g} 1/s\n  reference   {reference}")
     guard, gain = artifact.gains.guard, "not guarded: the same whatever the force does"
     if guard is not None:
-        gain = f"guarded: falls while the force swings by more than {guard.sensitivity**-0.5:.3g} N (RMS)"
+        once, lasting = guard.sensitivity**-0.5, guard.attention**-0.5
+        gain = f"guarded: falls when the force swings by some {once:.3g} N (RMS), or by {lasting:.3g} N for long"
     print(f"  gain        {gain}")
+    print(f"  schedule    {_schedule(artifact)}")
     print(f"  loop        {_loop(artifact)}")
     for title, table in (("made by", artifact.provenance), ("params", artifact.params)):
         print(f"  {title:<11} {', '.join(f'{key} {_short(value)}' for key, value in table.items()) or '-'}")
@@ -57,6 +59,11 @@ def run(args: argparse.Namespace) -> int:
     print("\n  stiffness  " + "".join(f"{key:>18}" for key in MARGINS))
     for row in artifact.margins:
         print(f"  {row['stiffness']:>9g}  " + "".join(f"{row[key]:>18.4g}" for key in MARGINS))
+    if artifact.family is not None:
+        band = 100.0 * artifact.family["band"]
+        print(f"\n  known K̂: with the schedule, the worst where the tissue's stiffness lies within ±{band:g} % of it")
+        for row in artifact.family["rows"]:
+            print(f"  {row['stiffness']:>9.4g}  " + "".join(f"{row[key]:>18.4g}" for key in MARGINS))
     limits = {"spectral_radius": "< 1"}
     limits |= {key: f"{MARGINS[key].sign} {bound:g}" for key, bound in artifact.floor.items()}
     print(f"  {'limit':<9}  " + "".join(f"{limits.get(key, ''):>18}" for key in MARGINS))
@@ -79,12 +86,28 @@ def _loop(artifact: "Artifact") -> str:
     return ", ".join(parts + ["Kalman filter on the force"] * (force_filter is not None))
 
 
+def _schedule(artifact: "Artifact") -> str:
+    """Where its knots stand, and how the stiffness is found."""
+    family = artifact.gains.schedule
+    if family is None:
+        return "none: the same gains on every tissue"
+    places = ", ".join(f"{math.exp(knot.log_stiffness):.4g}" for knot in family.knots)
+    listening = family.identification
+    hertz = math.atan2(listening.turn[1], listening.turn[0]) / (2.0 * math.pi * artifact.T_s)
+    return (
+        f"knots at {places} N/m; begins with the gains for every tissue, finds the stiffness by a sine of "
+        f"{listening.amplitude:g} N at {hertz:g} Hz, and takes over when it is known to ±{100.0 * listening.band:g} %"
+    )
+
+
 def _print_arm(arm: "ArmModel") -> None:
     """Model and limits of what drives an arm."""
     from deploy.controller.limits import ROWS
 
     nominal, links = arm.nominal, arm.chain.links
     friction = "cancels friction" if arm.compensated else "cancels no friction"
+    if arm.momentum_observer:
+        friction = f"cancels what disturbs the momentum, {arm.momentum_observer:g} rad/s"
     print(f"\n  robot       {arm.robot}, tip {arm.tool_length:g} m beyond the elbow")
     print(f"  model       links {sum(link.mass for link in links):.3f} kg × {nominal.mass_scale:g}", end="")
     print(f", tool error {nominal.tool_error:g} kg, {friction}")

@@ -22,6 +22,8 @@ HASH = 8
 """Characters of the controller's sha256 that arm it."""
 ACTIVATED = 200
 """Cycles after which the twin's pendant is pressed in lock-step."""
+LONGEST = 50.0
+"""Longest recording that can be read again [s]."""
 CONTACTS = {"approach_speed": (0.1, 50.0), "approach_limit": (1.0, 200.0), "retract": (1.0, 200.0)}
 """Bounds [mm/s], [mm], [mm]."""
 
@@ -63,6 +65,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, default=Path("flights"), metavar="DIR", help="recordings (flights)"
     )
     machine.add_argument("--record", action="store_true", help="write the flight recording even if all went well")
+    machine.add_argument("--recorded", type=float, default=10.0, metavar="S", help="how much of the end is kept (10)")
     machine.add_argument("--bus-log", type=Path, metavar="FILE.log", help="the torque frames, as candump logs them")
     twin = parser.add_argument_group("a twin instead of a bus (needs mujoco)")
     twin.add_argument("--lockstep", action="store_true", help="run against a twin in this process, in its own time")
@@ -149,7 +152,10 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
         print("Enter lets the approach begin" if keys else "the approach begins once the arm is active")
     console = Console()
     operator = Operator(console, lambda: session.controller.contact_time, args.duration, auto or not keys, keys)
-    each = _activating(clock.twin, operator.each) if args.lockstep else operator.each
+    each: Callable[[Any], Any] = operator.each
+    told: Callable[[], list[str]] = list
+    if args.lockstep:
+        each, told = _watched(clock.twin, session.controller, operator.each)
     try:
         ended = session.run(operator.command, watchdog, each)
     except BaseException:
@@ -158,7 +164,7 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
         raise
     console.close()
     print(session.statistics.report())
-    print("\n".join(session.notes()))
+    print("\n".join([*session.notes(), *told()]))
     if args.record or not ended.well:
         print(session.write(_recording(args.output), digest, ended.safety_state))
     print(f"ended: {ended.safety_state.state}, {ended.safety_state.reason} {ended.safety_state.detail}".rstrip())
@@ -182,16 +188,24 @@ def _twin(args: argparse.Namespace) -> tuple[Any, Any]:
     return clock, LockstepBus(clock)
 
 
-def _activating(twin: Any, each: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Somebody at the twin's pendant, who activates it once it is armed."""
+def _watched(
+    twin: Any, controller: Any, each: Callable[[Any], Any]
+) -> tuple[Callable[[Any], Any], Callable[[], list[str]]]:
+    """Somebody at the twin's pendant, who activates it once it is armed, and what the twin tells of the residual."""
     from deploy.safety.machine import OperatingState
+    from deploy.twin.residual import FlownResiduals
+
+    residuals = FlownResiduals()
 
     def watched(result: Any) -> Any:
-        if result.safety_state.state is OperatingState.ARMED and result.safety_state.cycles == ACTIVATED:
+        now = result.safety_state
+        if now.state is OperatingState.ARMED and now.cycles == ACTIVATED:
             twin.press("activate")
+        if now.state is OperatingState.CONTACT:
+            residuals.add(controller.contact_time, controller.force_ref, result.force, twin.truth().force)
         return each(result)
 
-    return watched
+    return watched, residuals.report
 
 
 def _armed(given: str | None, digest: str) -> bool:
@@ -218,6 +232,10 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError("--duration", args.duration, "in (0, 86400] s", "Ctrl-C ends a run at any time.")
     if not 0.0 < args.rate <= 100.0:
         raise InputError("--rate", args.rate, "in (0, 100] N/s", "The paper's fastest reference has 12.6.")
+    if not 1.0 <= args.recorded <= LONGEST:
+        raise InputError(
+            "--recorded", args.recorded, f"in [1, {LONGEST:g}] s", "A recording lies in memory as a whole."
+        )
     if args.sensor.partition(":")[0] not in ("can", "jr3"):
         raise InputError("--sensor", args.sensor, "can or jr3:DEVICE", "For example jr3:/dev/comedi0.")
     _mount(args.mount)
@@ -251,6 +269,7 @@ def _options(args: argparse.Namespace, artifact: "Artifact") -> "Options":
         tare=not args.no_tare,
         home=args.home,
         hz=args.hz,
+        seconds=args.recorded,
     )
 
 

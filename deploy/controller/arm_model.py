@@ -14,6 +14,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.law.chain import Chain, Link, mass_matrix, pose, tip
 from jaxmpc.law.computed_torque import Nominal
 from jaxmpc.law.friction_compensation import NominalFriction
+from jaxmpc.law.momentum_observer import FASTEST
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.scalar import Vector
 
@@ -60,6 +61,7 @@ class ArmModel:
         golden_q: Measured joint angles of the trace (n, 4) [rad], which begins at rest at its first row.
         golden_applied: Joint torques (n, 4) [N m] that the observers were told of after each sample.
         golden_torque: What the JAX law wanted (n, 4) [N m].
+        momentum_observer: Bandwidth of the observer that cancels what disturbs the joints' momentum [rad/s]; 0 is none.
 
     Raises:
         InputError: A value is malformed, out of range, or not the named robot's.
@@ -76,6 +78,7 @@ class ArmModel:
     golden_q: np.ndarray
     golden_applied: np.ndarray
     golden_torque: np.ndarray
+    momentum_observer: float = 0.0
 
     def __post_init__(self) -> None:
         if self.robot != ROBOT:
@@ -84,6 +87,8 @@ class ArmModel:
             raise InputError("arm.compensated", self.compensated, "true or false", AGAIN)
         if not isinstance(self.limits, Limits):
             raise InputError("arm.limits", self.limits, "a table of limits", AGAIN)
+        if self.compensated and self.momentum_observer:
+            raise InputError("arm.momentum_observer", self.momentum_observer, "0 beside arm.compensated", AGAIN)
         counts = self.encoder_counts
         if isinstance(counts, bool) or not isinstance(counts, int) or not 0 <= counts <= 10_000_000:
             raise InputError("arm.encoder_counts", counts, "a whole number in [0, 10000000]", "The arm's has 4096.")
@@ -92,6 +97,7 @@ class ArmModel:
             "chain": _chain(self.chain),
             "tool_length": _between("arm.tool_length", self.tool_length, 0.0, 1.0),
             "nominal": _nominal(self.nominal),
+            "momentum_observer": _between("arm.momentum_observer", self.momentum_observer, 0.0, FASTEST),
             "posture": constants("arm.posture", self.posture, (4,)),
             "golden_q": q,
             "golden_applied": array("golden_applied", self.golden_applied, (len(q), 4)),
@@ -132,8 +138,9 @@ class ArmModel:
                 raise InputError(f"tip at arm.posture, {name}", f"{x:.4g} m", f"in [{low:g}, {high:g}] m", remedy)
 
     def plain(self) -> dict[str, Any]:
-        """Everything but the trace, as plain data."""
-        table = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in GOLDEN}
+        """Everything but the trace, as plain data; an observer that is none is left out."""
+        without = GOLDEN if self.momentum_observer else (*GOLDEN, "momentum_observer")
+        table = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in without}
         links = [link._asdict() for link in self.chain.links]
         nominal = self.nominal._asdict() | {"friction": self.nominal.friction._asdict()}
         return table | {
@@ -149,7 +156,9 @@ class ArmModel:
         Raises:
             InputError: Something is missing, unknown, malformed or out of range; it is named.
         """
-        known = keyed("arm", table, MEANING, MEANING)
+        if isinstance(table, Mapping):
+            table = {"momentum_observer": 0.0, **table}
+        known = keyed("arm", table, (*MEANING, "momentum_observer"), MEANING)
         missing = [name for name in GOLDEN if name not in golden]
         if missing:
             raise InputError(missing[0], "missing", "given: the trace tells whether the torques are right", AGAIN)

@@ -11,7 +11,7 @@ from deploy.controller.arm_model import ArmModel
 from deploy.controller.checks import AGAIN, array, plain
 from deploy.controller.judged_loop import JudgedLoop
 from jaxmpc.files.errors import InputError
-from jaxmpc.law.cascade import Gains, constant_reference
+from jaxmpc.law.gains import Gains, constant_reference
 
 KINDS = ("linear", "wam")
 """The three cascades alone, which only replay; and all that drives an arm."""
@@ -37,6 +37,8 @@ class Artifact:
         golden_force_ref: Wanted force (n, 3) [N], with preview (n, 3, H).
         golden_v: Command of the JAX law (n, 3) [m/s²].
         arm: What it takes to drive an arm; None only replays.
+        family: Of a controller with a schedule: the `band` of K_s/K̂ that its margins hold over, and `rows`, one per
+            known stiffness K̂ with the worst margins over the band. None without one.
 
     Raises:
         InputError: A value is missing, malformed, out of range, unstable or below the floor.
@@ -55,12 +57,18 @@ class Artifact:
     golden_force_ref: np.ndarray
     golden_v: np.ndarray
     arm: ArmModel | None = None
+    family: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
         gains = frozen_gains.checked(self.gains)
         if gains.guard is not None and self.arm is None:
             remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
             raise InputError("guard", "given", "left out where no arm is driven", remedy)
+        if (gains.schedule is None) != (self.family is None):
+            raise InputError("family", self.family, "given for a controller with a schedule, and for no other", AGAIN)
+        if gains.schedule is not None and self.arm is None:
+            remedy = "Freeze it with an experiment on the arm, such as family-wam."
+            raise InputError("schedule", "given", "left out where no arm is driven", remedy)
         if not isinstance(self.preview, bool):
             raise InputError("preview", self.preview, "true or false", "Say whether the future reference is known.")
         T_s, K2 = margin_floor.number("T_s", self.T_s), margin_floor.number("K2", self.K2)
@@ -81,6 +89,7 @@ class Artifact:
             "loop": judged_loop.checked(self.loop),
             "margins": margin_floor.plain_margins(self.margins),
             "floor": margin_floor.plain_floor(self.floor),
+            "family": margin_floor.plain_family(self.family),
             "golden_force": force,
             "golden_force_ref": array("golden_force_ref", self.golden_force_ref, (len(force), 3, *ahead)),
             "golden_v": array("golden_v", self.golden_v, (len(force), 3)),
@@ -90,6 +99,8 @@ class Artifact:
         if not np.any(self.golden_v):
             raise InputError("golden_v", "all zero", "a trace that moves", "Nothing could be told from this one.")
         margin_floor.check(self.margins, self.floor)
+        if self.family is not None:
+            margin_floor.check(self.family["rows"], self.floor, "with the tissue known to have about")
         if self.arm is not None:
             self._check_arm(self.arm)
 

@@ -25,14 +25,20 @@ class ArtifactError(ValueError):
 
 def to_bytes(artifact: Artifact) -> bytes:
     """The file's content; the same artifact gives the same bytes."""
-    rows = [{key: "inf" if value == np.inf else value for key, value in row.items()} for row in artifact.margins]
+    rows = _rows(artifact.margins)
     plainly = {"gains": frozen_gains.plain(artifact.gains), "loop": artifact.loop._asdict(), "margins": rows}
     header = {name: getattr(artifact, name) for name in HEADER} | plainly
     golden = {name: getattr(artifact, name) for name in GOLDEN}
+    if artifact.family is not None:
+        header |= {"family": {"band": artifact.family["band"], "rows": _rows(artifact.family["rows"])}}
     if artifact.arm is not None:
         header |= {"arm": artifact.arm.plain()}
         golden |= {name: getattr(artifact.arm, name) for name in arm_model.GOLDEN}
     return seal({"schema": SCHEMA, "version": VERSION, "kind": artifact.kind, **header}, golden)
+
+
+def _rows(margins: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{key: "inf" if value == np.inf else value for key, value in row.items()} for row in margins]
 
 
 def from_bytes(data: bytes) -> Artifact:
@@ -64,7 +70,7 @@ def from_bytes(data: bytes) -> Artifact:
         fields = {name: header[name] for name in HEADER} | {name: arrays[name] for name in GOLDEN}
         with np.errstate(all="ignore"):  # what overflows is refused for what it gives
             arm = ArmModel.from_plain(header["arm"], arrays) if kind == "wam" else None
-            artifact = Artifact(**(fields | {"arm": arm}))
+            artifact = Artifact(**(fields | {"arm": arm, "family": header.get("family")}))
             check_golden(artifact)
     except InputError as error:
         raise ArtifactError(str(error)) from None

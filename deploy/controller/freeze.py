@@ -13,7 +13,7 @@ from deploy.controller.golden import check_golden
 from deploy.controller.judged_loop import JudgedLoop
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import LARGEST, write_atomic
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 
 
 def freeze(
@@ -29,6 +29,7 @@ def freeze(
     provenance: dict[str, Any],
     preview: bool = False,
     arm: Mapping[str, Any] | None = None,
+    family: Mapping[str, Any] | None = None,
 ) -> Artifact:
     """Write an artifact, atomically, and load it back.
 
@@ -49,6 +50,7 @@ def freeze(
         arm: What the controller drives; None makes one that only replays. Entries as in
             `deploy.controller.arm_model.MEANING`, and of the trace `golden_q` [rad], `golden_applied` and
             `golden_torque` [N m], each (n, 4).
+        family: With a schedule, the `band` of K_s/K̂ [-] and `rows` as those of the margins, one per known stiffness.
 
     Raises:
         InputError: The controller is unstable or below its floor, an argument is malformed, the golden
@@ -60,7 +62,20 @@ def freeze(
     rows = list(map(dict, margins))
     model = None if arm is None else _model(arm)
     artifact = Artifact(
-        gains, T_s, K2, preview, loop, params, rows, dict(floor), provenance, force, force_ref, v, model
+        gains,
+        T_s,
+        K2,
+        preview,
+        loop,
+        params,
+        rows,
+        dict(floor),
+        provenance,
+        force,
+        force_ref,
+        v,
+        model,
+        None if family is None else dict(family),
     )
     check_golden(artifact)
     data = to_bytes(artifact)

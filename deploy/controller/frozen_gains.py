@@ -1,11 +1,12 @@
 """Gains of a frozen controller, checked against what the law declares of them, and as plain data."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 from deploy.controller.checks import AGAIN, array, constants, keyed
 from jaxmpc.files.errors import InputError
-from jaxmpc.law.cascade import Gains, constant_reference, order
+from jaxmpc.law.gains import Gains, GainSchedule, constant_reference, order
 from jaxmpc.law.scalar import Constant, declared
 
 
@@ -22,13 +23,32 @@ def checked(gains: Any) -> Gains:
     if not 1 <= order(found) <= 3:
         raise InputError("K", f"{len(found.K)} numbers", "4 to 6", "The disturbance order is 1, 2 or 3.")
     array("sum of mpc_ref", constant_reference(found).mpc_ref, (1,))
+    if found.schedule is not None:
+        _check_family(found, found.schedule)
     return found
+
+
+def _check_family(gains: Gains, family: GainSchedule) -> None:
+    places = [knot.log_stiffness for knot in family.knots]
+    if any(low >= high for low, high in pairwise(places)):
+        raise InputError("schedule.knots", places, "in the order of their stiffness", AGAIN)
+    for knot in family.knots:
+        alike = len(knot.gains.K) == len(gains.K) and len(knot.gains.mpc_ref) == len(gains.mpc_ref)
+        if not alike or (knot.gains.guard, knot.gains.force_filter, knot.gains.schedule) != (None, None, None):
+            raise InputError("schedule.knots", "of another structure", "of the structure of the fixed gains", AGAIN)
 
 
 def plain(gains: Gains) -> dict[str, Any]:
     """As plain data, without the parts that are missing."""
-    table = {name: value for name, value in gains._asdict().items() if value is not None}
-    return {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in table.items()}
+    table: dict[str, Any] = _plain(gains)
+    return table
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "_asdict"):
+        return {name: _plain(each) for name, each in value._asdict().items() if each is not None}
+    several = isinstance(value, tuple) and any(hasattr(each, "_asdict") for each in value)
+    return [_plain(each) for each in value] if several else value
 
 
 def _checked(kind: Any, value: Any, name: str, prefix: str) -> Any:
@@ -37,13 +57,17 @@ def _checked(kind: Any, value: Any, name: str, prefix: str) -> Any:
     if isinstance(table, dict):
         table = dict.fromkeys(parts) | table
     table = keyed(name, table, known)
-    found = {}
-    for key, each in known.items():
-        if isinstance(each, Constant):
-            found[key] = _constant(f"{prefix}{key}", table[key], each)
-        else:
-            found[key] = None if table[key] is None else _checked(each, table[key], key, f"{key}.")
-    return kind(**found)
+    return kind(**{key: _entry(each, table[key], key, f"{prefix}{key}") for key, each in known.items()})
+
+
+def _entry(kind: Any, value: Any, key: str, name: str) -> Any:
+    if isinstance(kind, Constant):
+        return _constant(name, value, kind)
+    if isinstance(kind, tuple):
+        if not isinstance(value, list | tuple) or not value:
+            raise InputError(name, value, "one or more tables", AGAIN)
+        return tuple(_checked(kind[0], each, key, f"{name}[{i}].") for i, each in enumerate(value))
+    return None if value is None else _checked(kind, value, key, f"{name}.")
 
 
 def _constant(name: str, value: Any, declaration: Constant) -> Any:

@@ -62,14 +62,30 @@ def plain_floor(floor: Mapping[str, Any]) -> dict[str, float]:
     return plain
 
 
-def check(margins: Iterable[Mapping[str, Any]], floor: Mapping[str, float]) -> None:
-    """Stability first, then the floor, in every row.
+def plain_family(family: Any) -> dict[str, Any] | None:
+    """Margins with the stiffness known, as plain data; None for a controller without a schedule.
+
+    Raises:
+        InputError: It is no table of the band and its rows, or the band is out of bounds.
+    """
+    if family is None:
+        return None
+    if not isinstance(family, Mapping) or set(family) != {"band", "rows"}:
+        raise InputError("family", family, "a table of band and rows", "Freeze the controller again.")
+    band = number("family.band", family["band"])
+    if not 0.0 < band < 1.0:
+        raise InputError("family.band", band, "in (0, 1)", "It is the relative error that K̂ may have.")
+    return {"band": band, "rows": plain_margins(family["rows"])}
+
+
+def check(margins: Iterable[Mapping[str, Any]], floor: Mapping[str, float], where: str = "at") -> None:
+    """Stability first, then the floor, in every row; `where` says what a row's stiffness is.
 
     Raises:
         InputError: A row is unstable or below the floor; it names stiffness, value and bound.
     """
     for row in margins:
-        case = f"at {row['stiffness']:g} N/m"
+        case = f"{where} {row['stiffness']:g} N/m"
         if not row["spectral_radius"] < 1.0:
             remedy = "The loop is unstable there: tune again with that stiffness in the set."
             raise InputError(f"spectral_radius {case}", f"{row['spectral_radius']:.6g}", "below 1", remedy)

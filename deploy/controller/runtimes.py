@@ -36,4 +36,5 @@ def flown_controller(artifact: Artifact) -> tuple[Controller, bool]:
     T_s = artifact.T_s
     measurement = Measurement(T_s, lowpass_pole(artifact.loop.velocity_cutoff, T_s, FLOATS))
     gains, K2 = artifact.flown_gains, artifact.K2
-    return Controller(arm.chain, arm.nominal, arm.posture, gains, K2, measurement), arm.compensated
+    bandwidth = arm.momentum_observer or None
+    return Controller(arm.chain, arm.nominal, arm.posture, gains, K2, measurement, bandwidth), arm.compensated

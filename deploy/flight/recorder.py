@@ -27,14 +27,19 @@ SIMULATED: Mapping[str, tuple[int, str]] = {
     "a": (3, "m/s²"),
     "p_hat": (3, "m/s²"),
     "gain": (1, "-"),
+    "stiffness": (3, "N/m"),
+    "authority": (3, "-"),
+    "dither": (3, "N"),
     "tip": (3, "m"),
     "q": (4, "rad"),
     "torque": (4, "N m"),
 }
 """Signals that the simulator has too, with width and unit. `time` is that since the first cycle; `force` and `q`
-are what the law was given (a force that it had to do without is NaN); `torque` is what the frame really carried."""
+are what the law was given (a force that it had to do without is NaN); `torque` is what the frame really carried.
+`stiffness`, `authority` and `dither` are zero without a schedule, and older recordings lack them."""
 ROBOT: Mapping[str, tuple[int, str]] = {
     "qd": (4, "rad/s"),
+    "gain_memory": (2, "-"),
     "wanted": (4, "N m"),
     "applied": (4, "N m"),
     "state": (1, ""),
@@ -46,8 +51,9 @@ ROBOT: Mapping[str, tuple[int, str]] = {
     "lateness": (1, "s"),
     "compute": (1, "s"),
 }
-"""Signals that only a robot has: `wanted` is the law's torque, `applied` what the clamps left of it and the
-observers were told; `state`, `reason` and `clamped` are the numbers that the header's `names` spell out."""
+"""Signals that only a robot has: `gain_memory` is the ceiling of `gain` and where it was lately; `wanted` is the law's
+torque, `applied` what the clamps left of it and the observers were told; `state`, `reason` and `clamped` are the
+numbers that the header's `names` spell out."""
 COLUMNS = {**SIMULATED, **ROBOT}
 
 

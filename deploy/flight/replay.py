@@ -23,18 +23,25 @@ COMPARED: Mapping[str, str] = {
     "a": "m/s²",
     "p_hat": "m/s²",
     "gain": "-",
+    "stiffness": "N/m",
+    "authority": "-",
+    "dither": "N",
     "wanted": "N m",
 }
 """Signals that are computed anew, with units."""
-LAW = ("u", "v", "a", "p_hat", "gain")
+KNOWN = ("stiffness", "authority", "dither")
+"""Those of a schedule; recordings from before there was one lack them."""
+LAW = ("u", "v", "a", "p_hat", "gain", *KNOWN)
 """Those that the cascades and the guard make; elsewhere than in contact they rest."""
 TOLERANCE = 1e-9
 """Largest difference, as a share of the largest value or of 1 in its unit, whichever is more: rounding stays below
 1e-12, another law or gain does not."""
 SETTLING = 2.0
 """Left out at the beginning of a recording that begins (almost) in contact [s]: the observers' earlier samples are not
-in it. Half of that brings the paper's text controller within 1e-12. A guard's gain would take minutes: it is taken
-from the recording until then."""
+in it. Half of that brings the paper's text controller within 1e-12. With less gain they forget more slowly: a second
+counts as much as the gain that a guard leaves. The gain itself would take minutes: it is taken from the recording until
+then. What a schedule believes of the tissue goes back to the contact: a flight with one is not replayed from later
+on."""
 FILTER = 0.3
 """Left out after a missing position [s], in which the velocity's low-pass forgets."""
 SERVO = ("armed", "approach", "retract", "stopped")
@@ -80,7 +87,11 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
         raise RecordingError(f"the controller that flew has the sha256 {flown}, and this one has {sha256[:16]}…")
     if header.get("T_s") != artifact.T_s:
         raise RecordingError(f"it was recorded every {header.get('T_s')} s, and the law runs every {artifact.T_s:g} s")
-    if missing := [name for name in (*INPUTS, *COMPARED) if name not in signals]:
+    scheduled = artifact.gains.schedule is not None
+    guarded = artifact.gains.guard is not None
+    needed = [name for name in (*INPUTS, *COMPARED) if scheduled or name not in KNOWN]
+    needed += ["gain_memory"] if guarded else []
+    if missing := [name for name in needed if name not in signals]:
         raise RecordingError(f"it lacks the signal {missing[0]}")
     names = header.get("names")
     states = names.get("state") if isinstance(names, dict) else None
@@ -95,8 +106,15 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
     enters[:1] = False  # there is no sample before it to enter from
     time = signals["time"][:, 0]
     judged = np.ones(len(time), bool)
+    gain = signals["gain"]
+    seen = np.cumsum(np.where(gain > 0.0, gain, 1.0)) * artifact.T_s
     if np.any(contact & (time < time[:1] + FILTER)):
-        judged &= time >= time[0] + SETTLING
+        if scheduled:
+            lacks = (
+                "what the schedule believes of the tissue goes back to the contact, before the recording's first sample"
+            )
+            raise RecordingError(f"{lacks}: fly with a longer recorder, `jaxmpc run --recorded S`")
+        judged &= seen >= SETTLING
     force_ref = signals["force_ref"]
     if artifact.preview:
         ahead = len(artifact.gains.mpc_ref)
@@ -112,7 +130,9 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
     servo = np.isin(number, [i for i, name in enumerate(states) if name in SERVO]) & np.all(
         np.isfinite(signals["a"]), axis=1
     )
-    gain = signals["gain"][:, 0]
+    memory = np.full((len(time), 3), np.nan)
+    if guarded:
+        memory = np.concatenate([gain, signals["gain_memory"]], axis=1)
     return RecordedInputs(
         time=time,
         q=q,
@@ -126,7 +146,7 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
         servo=servo,
         judged=judged,
         fresh=fresh,
-        gain=np.where(~judged & (gain > 0.0), gain, np.nan),
+        memory=np.where(~judged[:, None] & (memory > 0.0), memory, np.nan),
     )
 
 
@@ -151,10 +171,12 @@ def through_runtime(inputs: RecordedInputs, artifact: Artifact) -> dict[str, np.
             wanted = tuple(map(tuple, inputs.force_ref[k].tolist())) if inputs.force_ref.ndim == 3 else None
             found["wanted"][k] = runtime.control(angles, qd, force, wanted or tuple(inputs.force_ref[k].tolist()))
             found["v"][k], found["a"][k] = runtime.last_v, runtime.last_a
-            found["p_hat"][k], found["u"][k], found["gain"][k] = runtime.p_hat, runtime.u, runtime.gain
+            for name in ("p_hat", "u", "gain", *KNOWN):
+                found[name][k] = getattr(runtime, name)
             runtime.applied(applied)
-            if not math.isnan(inputs.gain[k]):
-                runtime.gain = float(inputs.gain[k])
+            if np.all(np.isfinite(inputs.memory[k])):
+                g, ceiling, lately = inputs.memory[k].tolist()
+                runtime.memory = g, ceiling, lately
         elif inputs.servo[k]:
             a = tuple(inputs.a[k].tolist())
             found["wanted"][k] = runtime.servo(angles, qd, a, force or (0.0, 0.0, 0.0))
@@ -174,6 +196,8 @@ def compare(
     """
     rows = []
     for signal, again in replayed.items():
+        if signal not in recording.signals:
+            continue
         where = inputs.fresh if signal == "qd" else inputs.judged & (inputs.contact | inputs.servo)
         if signal in LAW:
             where = where & inputs.contact
@@ -196,11 +220,11 @@ def compare(
 
 def table(title: str, rows: list[Difference]) -> str:
     """The differences as text."""
-    lines = [f"{title}\n  {'signal':<8}{'samples':>8}{'largest':>12}{'at [s]':>10}{'allowed':>12}   parts"]
+    lines = [f"{title}\n  {'signal':<10}{'samples':>8}{'largest':>12}{'at [s]':>10}{'allowed':>12}   parts"]
     for row in rows:
         at = f"{row.at:.3f}" if row.samples else "-"
         parts = f"at {row.first:.3f} s by {row.by:.3g} {row.unit}" if row.parts else "no" if row.samples else "-"
-        lines.append(f"  {row.signal:<8}{row.samples:>8}{row.largest:>12.3g}{at:>10}{row.tolerance:>12.3g}   {parts}")
+        lines.append(f"  {row.signal:<10}{row.samples:>8}{row.largest:>12.3g}{at:>10}{row.tolerance:>12.3g}   {parts}")
     return "\n".join(lines)
 
 

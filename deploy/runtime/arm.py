@@ -8,22 +8,26 @@ and judges nothing: the safety layer keeps the arm away from singularities and f
 which Python's own arithmetic would raise.
 """
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 from deploy.runtime.straightline import OPS, compile_straightline
-from jaxmpc.law import chain, entry, force_control, measurement
+from jaxmpc.law import chain, entry, force_control, identification, measurement
 from jaxmpc.law.cascade import AxisState
 from jaxmpc.law.computed_torque import JointTorque
 from jaxmpc.law.force_control import Command, Controller, ControllerState
 from jaxmpc.law.gain_backoff import BackoffState
+from jaxmpc.law.identification import StiffnessEstimate
 from jaxmpc.law.measurement import MeasurementState
 from jaxmpc.law.scalar import scale
 from jaxmpc.law.vectors import Vector3, Vector4
 
 _FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)
 _THREE: Vector3 = (0.0, 0.0, 0.0)
-_P_HAT, _U = map(AxisState._fields.index, ("p_hat", "u"))
-_GAIN = BackoffState._fields.index("gain")
+_P_HAT, _U, _TISSUE = map(AxisState._fields.index, ("p_hat", "u", "tissue"))
+_BELIEVED, _AUTHORITY = map(StiffnessEstimate._fields.index, ("log_stiffness", "authority"))
+_MEMORY = BackoffState._fields.index("memory")
 
 
 class ArmRuntime:
@@ -54,8 +58,8 @@ class ArmRuntime:
         self._controller, self._compensated = controller, compensated
         self.start(controller.posture)
         ahead = ((0.0,) * len(controller.gains.mpc_ref),) * 3 if preview else _THREE
-        memory, seen = (self._axes, self._bristles, self._guard), (_FOUR, _FOUR)
-        control = compile_straightline(law.control, (*memory, _THREE, *seen, _THREE, ahead))
+        memory, seen = (self._axes, self._bristles, self._guard, self._momentum), (_FOUR, _FOUR)
+        control = compile_straightline(law.control, (*memory, _THREE, _FOUR, *seen, _THREE, ahead))
         self.operations = control.operations
         self._control = control.function
         self._measure = compile_straightline(law.measure, (self._measured, _FOUR)).function
@@ -71,12 +75,13 @@ class ArmRuntime:
         angles = tuple(map(float, q))  # numbers of numpy would stay and make every sample slower
         self._hold(*force_control.init(self._controller, angles, _THREE, self._compensated))
         self._applied = self.last_v = self.last_a = self.last_force = _THREE
-        self.last_torque = _FOUR
+        self._change = self.last_torque = _FOUR
         self._found: Any = None
 
-    def _hold(self, measured: Any, axes: Any, bristles: Any, guard: Any) -> None:
+    def _hold(self, measured: Any, axes: Any, bristles: Any, guard: Any, momentum: Any) -> None:
         """Keep the parts of a `ControllerState`, each of which changes where the others rest."""
         self._measured, self._axes, self._bristles, self._guard = measured, axes, bristles, guard
+        self._momentum = momentum
 
     def velocity(self, q: Vector4) -> Vector4:
         """Filtered joint velocities [rad/s] from measured angles [rad]; once a sample."""
@@ -88,8 +93,8 @@ class ArmRuntime:
 
         While the wanted force is the measured one, `control` begins with the same a that was asked for so far.
         """
-        self._axes, self._guard, self._applied = self._enter((q, self._measured[1]), force, self.last_a)
-        self.last_v = self._applied
+        self._axes, self._guard, self._momentum, self._applied = self._enter((q, self._measured[1]), force, self.last_a)
+        self.last_v, self._change = self._applied, _FOUR
 
     def control(self, q: Vector4, qd: Vector4, force: Vector3 | None, force_ref: Any) -> Vector4:
         """Advance the controller by one sample.
@@ -106,16 +111,27 @@ class ArmRuntime:
         if force is None:
             force = self._predict(self._axes, self._guard)
         self.last_force = force
-        self._axes, self._bristles, self._guard, v, self.last_a, self.last_torque, self._found = self._control(
-            self._axes, self._bristles, self._guard, self._applied, q, qd, force, force_ref
+        memory, v, self.last_a, self.last_torque, self._found = self._control(
+            self._axes,
+            self._bristles,
+            self._guard,
+            self._momentum,
+            self._applied,
+            self._change,
+            q,
+            qd,
+            force,
+            force_ref,
         )
+        self._axes, self._bristles, self._guard, self._momentum = memory
         self.last_v = self._applied = v
+        self._change = _FOUR
         return self.last_torque
 
     def applied(self, torque: Vector4) -> None:
         """Tell the observers which joint torques [N m] the limits let pass since the last `control`."""
         if torque != self.last_torque:  # else it would find v again
-            self._applied = self._told(self.last_v, self.last_torque, *self._found, torque)
+            self._applied, self._change = self._told(self.last_v, self.last_torque, *self._found, torque)
 
     def servo(self, q: Vector4, qd: Vector4, acceleration: Vector3, force: Vector3) -> Vector4:
         """Joint torques [N m] for an acceleration of the tip [m/s²] under a measured force [N]; the cascades rest."""
@@ -141,15 +157,44 @@ class ArmRuntime:
         return x[_U], y[_U], z[_U]
 
     @property
+    def stiffness(self) -> Vector3:
+        """K̂, what the tissue's stiffness is believed to be along each axis [N/m]; 0 without a schedule."""
+        return self._known(lambda tissue: math.exp(tissue[_BELIEVED]))
+
+    @property
+    def authority(self) -> Vector3:
+        """Share of the control that the schedule has [-]; 0 without one."""
+        return self._known(lambda tissue: tissue[_AUTHORITY])
+
+    @property
+    def dither(self) -> Vector3:
+        """Sine that was added to the wanted force [N]; 0 without a schedule."""
+        schedule = self._controller.gains.schedule
+        if schedule is None:
+            return _THREE
+        constants = schedule.identification
+        return self._known(lambda tissue: identification.dither(constants, StiffnessEstimate(*tissue)))
+
+    def _known(self, number: Callable[[Any], float]) -> Vector3:
+        """A number of each axis' estimate of its tissue."""
+        x, y, z = (axis[_TISSUE] for axis in self._axes)
+        return _THREE if x is None else (number(x), number(y), number(z))
+
+    @property
     def gain(self) -> float:
         """Share of the loop's gain that the guard leaves [-]; 1 without one."""
-        return float(self._guard[_GAIN]) if self._guard else 1.0
+        return self.memory[0]
 
-    @gain.setter
-    def gain(self, gain: float) -> None:
+    @property
+    def memory(self) -> Vector3:
+        """That share, its ceiling, and where it was lately [-]; ones without a guard."""
+        return self._guard[_MEMORY] if self._guard else (1.0, 1.0, 1.0)
+
+    @memory.setter
+    def memory(self, memory: Vector3) -> None:
         """Only for a replay that does not know how it came about; nothing changes without a guard."""
         if self._guard:
-            self._guard = (*self._guard[:_GAIN], gain, *self._guard[_GAIN + 1 :])
+            self._guard = (*self._guard[:_MEMORY], memory, *self._guard[_MEMORY + 1 :])
 
 
 class _Law:
@@ -165,25 +210,36 @@ class _Law:
         return measurement.measure(self.controller.measurement, measured, q)
 
     def control(
-        self, axes: Any, bristles: Any, guard: Any, applied: Any, q: Any, qd: Any, force: Any, force_ref: Any
+        self,
+        axes: Any,
+        bristles: Any,
+        guard: Any,
+        momentum: Any,
+        applied: Any,
+        change: Any,
+        q: Any,
+        qd: Any,
+        force: Any,
+        force_ref: Any,
     ) -> Any:
-        state = force_control.holding(ControllerState(MeasurementState(q, qd), axes, bristles, guard), applied)
+        state = ControllerState(MeasurementState(q, qd), axes, bristles, guard, momentum)
+        state = force_control.holding(state, applied, change)
         wanted = force_ref if self.preview else tuple((axis,) for axis in force_ref)
         state, command = force_control.respond(self.controller, state, force, wanted, OPS)
         found = command.torque
-        return *state[1:], command.v, command.a, found.torque, (found.jacobian, found.factors)
+        return state[1:], command.v, command.a, found.torque, (found.jacobian, found.factors)
 
     def told(self, v: Any, wanted: Any, jacobian: Any, factors: Any, torque: Any) -> Any:
         return force_control.told(Command(JointTorque(wanted, jacobian, factors), v, ()), torque)
 
     def predict(self, axes: Any, guard: Any) -> Any:
         state = ControllerState(MeasurementState(_FOUR, _FOUR), axes, None, guard)
-        return entry.expected_force(self.controller, state)
+        return entry.expected_force(self.controller, state, OPS)
 
     def enter(self, measured: Any, force: Any, a: Any) -> Any:
         resting = force_control.init(self.controller, _FOUR, force)
         state = entry.enter(self.controller, resting._replace(measured=measured), force, a, OPS)
-        return state.axes, state.guard, tuple(axis.v for axis in state.axes)
+        return state.axes, state.guard, state.momentum, tuple(axis.v for axis in state.axes)
 
     def servo(self, bristles: Any, q: Any, qd: Any, a: Any, force: Any) -> Any:
         state = force_control.init(self.controller, q, force)

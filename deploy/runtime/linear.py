@@ -7,7 +7,7 @@ import numpy as np
 
 from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law import cascade
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.law.vectors import Vector3
 
 

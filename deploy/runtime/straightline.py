@@ -12,7 +12,18 @@ from itertools import count
 from math import isfinite
 from typing import Any, NoReturn
 
-FUNCTIONS: dict[str, Callable[[float], float]] = {"sin": math.sin, "cos": math.cos, "sqrt": math.sqrt}
+from jaxmpc.law.ops import FLOATS
+
+FUNCTIONS: dict[str, Callable[..., float]] = {
+    "sin": math.sin,
+    "cos": math.cos,
+    "sqrt": math.sqrt,
+    "exp": FLOATS.exp,
+    "log": math.log,
+    "minimum": min,
+    "maximum": max,
+    "abs": abs,
+}
 """What a recording may call besides its own arithmetic."""
 
 
@@ -73,6 +84,9 @@ class Operand:
     def __neg__(self) -> Any:
         return self.arguments[0] if self.form == "-{}" else self.tape.operation("-{}", self)
 
+    def __abs__(self) -> Any:
+        return self.tape.operation("abs({})", self)
+
     def __eq__(self, other: object) -> NoReturn:
         raise TypeError("a recorded number cannot be compared: its value is not known yet")
 
@@ -94,6 +108,26 @@ class _Functions:
     def sqrt(self, x: Any) -> Any:
         """Square root."""
         return _apply("sqrt", x)
+
+    def exp(self, x: Any) -> Any:
+        """Exponential."""
+        return _apply("exp", x)
+
+    def log(self, x: Any) -> Any:
+        """Natural logarithm."""
+        return _apply("log", x)
+
+    def minimum(self, x: Any, y: Any) -> Any:
+        """Smaller of two."""
+        return _apply("minimum", x, y)
+
+    def maximum(self, x: Any, y: Any) -> Any:
+        """Larger of two."""
+        return _apply("maximum", x, y)
+
+    def clip(self, x: Any, low: Any, high: Any) -> Any:
+        """A value held within two limits."""
+        return self.minimum(self.maximum(x, low), high)
 
 
 OPS: Any = _Functions()
@@ -195,8 +229,11 @@ def _text(tree: Any, none: str = "None") -> str:
     return none if tree is None else tree.name if isinstance(tree, Operand) else repr(tree)
 
 
-def _apply(name: str, x: Any) -> Any:
-    return x.tape.operation(f"{name}({{}})", x) if isinstance(x, Operand) else FUNCTIONS[name](x)
+def _apply(name: str, *arguments: Any) -> Any:
+    tape = next((each.tape for each in arguments if isinstance(each, Operand)), None)
+    if tape is None:
+        return FUNCTIONS[name](*arguments)
+    return tape.operation(f"{name}({', '.join('{}' for _ in arguments)})", *arguments)
 
 
 def _equals(value: Any, constant: float) -> bool:

@@ -21,12 +21,13 @@ class Verb(NamedTuple):
 
 
 VERBS = {
-    "demo": Verb("jaxmpc.cli.demo", "the whole story in one go: paper → sweep → tune → freeze → replay, with pictures"),
+    "demo": Verb("jaxmpc.cli.demo", "the whole story in one go: paper → sweep → tune → freeze → fly, with pictures"),
     "simulate": Verb("jaxmpc.cli.simulate", "one experiment: table, margins, figures"),
     "sweep": Verb(
         "sweeps.cli", "many controllers over a set of stiffnesses; run it again to resume; `sweep report` shows it"
     ),
     "tune": Verb("tuning.cli", "gradient autotuning, worst case over stiffness, margins held"),
+    "limit": Verb("jaxmpc.cli.limit", "the least residual that any linear law could reach, and a controller beside it"),
     "trials": Verb("tuning.trials.cli", "random trials of a controller on the arm: how often does it become unstable?"),
     "freeze": Verb("jaxmpc.cli.freeze", "parameters → a sealed controller for the robot"),
     "identify": Verb(

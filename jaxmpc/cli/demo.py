@@ -1,22 +1,30 @@
-"""`jaxmpc demo`: the whole story in one go: paper → sweep → tune → freeze → replay, with pictures."""
+"""`jaxmpc demo`: the whole story in one go: paper → sweep → tune → arm → freeze → fly → replay, with pictures."""
 
 import argparse
 import shutil
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from jaxmpc.stability import Margins
+    from deploy.controller.artifact import Artifact
+    from deploy.twin.flight import TwinFlight
+    from jaxmpc import Experiment
+    from jaxmpc.closed_loops import Outcome
     from jaxmpc.synthesis.params import Params
     from sweeps.result import Result
     from tuning import TuneResult
 
 UNSEEN_SEED = 1000
-"""Motion of the before/after figure; the tuner does not train on it."""
+"""Motion on the arm; no tuner trains on it."""
+STIFFNESS, SECONDS, SETTLE = 810.0, 18.0, 8.0
+"""Stiffness of the tissue on the arm [N/m]; length of run and flight, and what is left out of it [s]."""
+FLOOR = {"M_s": 2.0}
+"""Margins that the frozen family keeps, with the stiffness unknown and known."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Tell the story; 1 when the tuner met no goals or the frozen controller is not the tuned one."""
+    """Tell the story; 1 when the tuner met no goals, or the flight ended otherwise or is not repeated by its replay."""
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
@@ -34,22 +42,27 @@ def run(args: argparse.Namespace) -> int:
     began = time.monotonic()
     folder: Path = args.output
     folder.mkdir(parents=True, exist_ok=True)
-    with _step("1/5 the paper's design, both parameter sets, on Table I of the linear loop"):
-        text, printed = Params.published("text"), Params.published("printed")
-        _paper(text, printed)
-    with _step("2/5 a sweep of 10 240 controllers × 3 tissues"):
-        swept = _sweep(folder)
-    with _step("3/5 autotuning by gradient, M_s ≤ 2 held at every tissue"):
-        tuned = _tune(folder)
-    if not tuned.feasible:
-        print(tuned.unmet())
-        return 1
-    with _step("4/5 before and after on the arm: friction, wrong masses, encoders, motion that the tuner did not see"):
-        arm = _before_after(folder, text, tuned)
-    with _step("5/5 freeze, and replay in the numpy runtime"):
-        same = _freeze_and_replay(folder, tuned.params)
-    _summary(folder, swept, tuned, arm, time.monotonic() - began)
-    return 0 if same else 1
+    with ThreadPoolExecutor(1) as beside:
+        simulated = beside.submit(_on_arm)  # what takes longest goes on beside the rest
+        with _step("1/6 the paper's design, both parameter sets, on Table I of the linear loop"):
+            _paper(Params.published("text"), Params.published("printed"))
+        with _step("2/6 linear loop, without the robot's limits: a sweep of 10 240 controllers × 3 tissues"):
+            swept = _sweep(folder)
+        with _step("3/6 linear loop, without the robot's limits: autotuning by gradient, M_s ≤ 2 held at every tissue"):
+            tuned = _tune(folder)
+        if not tuned.feasible:
+            print(tuned.unmet())
+            return 1
+        with _step("4/6 the arm within the robot's limits: text design, and a family that finds the stiffness"):
+            arm = simulated.result()
+            _tell_arm(arm)
+    with _step("5/6 freeze that family for the robot"):
+        artifact = _freeze(folder, arm)
+    with _step("6/6 fly it in lock-step over the twin's beating heart, and replay the flight"):
+        flight = _fly(folder, arm)
+        same = _replay(folder, artifact)
+    _summary(folder, swept, tuned, arm, artifact, flight, time.monotonic() - began)
+    return 0 if same and flight.ended.well else 1
 
 
 @contextmanager
@@ -107,90 +120,159 @@ def _tune(folder: Path) -> "TuneResult":
     return result
 
 
-def _before_after(folder: Path, text: "Params", tuned: "TuneResult") -> tuple[float, float]:
-    """Worst residual RMS of both controllers on the arm [N]; the tuner knew the linear loop alone."""
+class Arm(NamedTuple):
+    """Two controllers on the simulated arm, within the robot's limits."""
+
+    experiment: "Experiment"
+    text: "Outcome"
+    family: "Outcome"
+
+
+def _on_arm() -> Arm:
+    """Both on one tissue and on motion that no tuner saw, with traces."""
+    from msgspec.structs import replace
+
+    from jaxmpc import Experiment, Params, evaluate
+
+    experiment = Experiment.published("family-wam").with_seed(UNSEEN_SEED)
+    experiment = replace(experiment, stiffness=(STIFFNESS,), duration=SECONDS, settle=SETTLE)
+    family, text = (evaluate(Params.published(name), experiment, trace=True) for name in ("family", "text"))
+    return Arm(experiment, text, family)
+
+
+def _tell_arm(arm: Arm) -> None:
     import numpy as np
 
-    from jaxmpc import Experiment, Params, Status, evaluate
-    from jaxmpc.pictures.experiment_figures import before_after_figure
+    from jaxmpc import Status
+    from jaxmpc.loop.arm import ArmSample
 
-    # Tuned on the linear loop, it asks a robot for more than its limits allow (arm-robot-tune does not).
-    experiment = Experiment.published("table-1-wam").with_seed(UNSEEN_SEED).without_limits()
-    outcome = evaluate(Params.stack([text, tuned.params]), experiment, trace=True)
-    before_after_figure(folder / "before-after.png", experiment, outcome)
-    before, after = tuned.worst
-    print(
-        f"linear loop, worst residual RMS over tissue, axis and {tuned.heldout.rms.shape[1]} unseen motions: "
-        f"{1e3 * before:.1f} → {1e3 * after:.1f} mN ({-100 * tuned.gain:+.0f} %)"
-    )
-    names = [Status(int(code)).name for code in np.max(outcome.status, axis=1)]
-    worst = np.max(outcome.metrics.rms, axis=(1, 2))
-    print(
-        f"the arm without the robot's limits, one unseen motion: {1e3 * worst[0]:.1f} → {1e3 * worst[1]:.1f} mN "
-        f"({100 * (worst[1] / worst[0] - 1.0):+.0f} %), status {names[0]} → {names[1]}"
-    )
-    return float(worst[0]), float(worst[1])
+    for name, outcome in (("text", arm.text), ("family", arm.family)):
+        status = Status(int(outcome.status[0])).name
+        print(f"{name:<7} status {status}, residual X / Y / Z {_three(outcome.metrics.rms[0])} mN")
+    assert isinstance(arm.family.trace, ArmSample)
+    believed = np.asarray(arm.family.trace.stiffness)[0, :, -1]
+    print(f"tissue of {STIFFNESS:g} N/m, which the family took for {' / '.join(f'{K:.0f}' for K in believed)} N/m")
 
 
-def _freeze_and_replay(folder: Path, params: "Params") -> bool:
-    from deploy.controller.file import load
-    from deploy.controller.golden import replay
-    from jaxmpc import Experiment
-    from jaxmpc.cli.freeze import freeze_controller
+def _freeze(folder: Path, arm: Arm) -> "Artifact":
+    from jaxmpc import Experiment, Params
+    from jaxmpc.export.freezing import freeze_controller
+    from jaxmpc.export.golden import read_in
 
     path = folder / "controller.npz"
-    freeze_controller(path, params, Experiment.published("table-1"), {"M_s": 2.0}, ideal=True)
-    deviation, _ = replay(load(path))
-    print(
-        f"{path}: {path.stat().st_size} bytes; the numpy runtime repeats the JAX loop to {deviation:.0e} of its command"
-    )
-    return deviation < 1e-9
+    assert arm.family.trace is not None
+    (run,) = read_in(arm.experiment, arm.family.trace._asdict())
+    promised = Experiment.published("family-wam")
+    artifact = freeze_controller(path, Params.published("family"), promised, FLOOR, ideal=False, run=run)
+    fixed, known = _worst_tables(artifact)
+    print(f"{path}: kind {artifact.kind}, {path.stat().st_size} bytes; 375 to 1900 N/m: worst M_s {fixed['M_s']:.2f}")
+    print(f"with the stiffness known to {_band(artifact)}: worst M_s {known['M_s']:.2f}")
+    return artifact
 
 
-def _summary(folder: Path, swept: "Result", tuned: "TuneResult", arm: tuple[float, float], seconds: float) -> None:
+def _fly(folder: Path, arm: Arm) -> "TwinFlight":
+    from dataclasses import replace
+
     import numpy as np
 
-    from jaxmpc.terminal.tables import number, show
+    from deploy.twin.flight import fly
+    from deploy.twin.scenario import twin_settings
+    from jaxmpc.pictures.flight_figure import flight_figure
 
-    ideal, as_run = tuned.margins["ideal"], tuned.margins["as run"]
-    before, after = tuned.worst
+    settings = twin_settings("family-wam", stiffness=STIFFNESS, gap=0.005, seed=UNSEEN_SEED)
+    settings = replace(settings, motion=arm.experiment.motion)
+    flight = fly(folder / "controller.npz", settings, "0,0,-5@2", SECONDS, folder / "flight.npz")
+    state = flight.ended.safety_state
+    print(f"{SECONDS:g} s in contact; ended: {state.state}, {state.reason}\n{flight.said}")
+    text = arm.text.trace
+    assert text is not None
+    error = np.asarray(text.force)[0, 2] - np.asarray(text.force_ref)[0, 2, :, 0]
+    before = arm.experiment.sampling_time * np.arange(len(error)), error
+    flight_figure(folder / "flight.png", flight.time, flight.signals, STIFFNESS, before, SETTLE)
+    return flight
+
+
+def _replay(folder: Path, artifact: "Artifact") -> bool:
+    """Whether the recorded inputs give the same flight once more."""
+    from deploy.flight.recorder import read
+    from deploy.flight.replay import compare, inputs_of, through_runtime
+
+    recording = read(folder / "flight.npz")
+    inputs = inputs_of(recording, artifact, recording.header["artifact"])
+    rows = compare(recording, inputs, through_runtime(inputs, artifact))
+    parted = [row.signal for row in rows if row.parts]
+    said = f"parts in {', '.join(parted)}" if parted else "the same"
+    print(f"replay of {rows[0].samples} samples in the runtime: {said}")
+    return not parted
+
+
+def _summary(
+    folder: Path,
+    swept: "Result",
+    tuned: "TuneResult",
+    arm: Arm,
+    artifact: "Artifact",
+    flight: "TwinFlight",
+    seconds: float,
+) -> None:
+    import numpy as np
+
+    from jaxmpc.quantities import MARGINS
+    from jaxmpc.terminal.tables import show
+
+    print("\nlinear loop, without the robot's limits, unseen motion: worst residual", end=" ")
+    print(" → ".join(f"{1e3 * rms:.1f}" for rms in tuned.worst), "mN, text → autotuned", end="")
     best = swept.best(1, 2.0)
-    own = np.searchsorted(tuned.spec.judged_at, np.asarray(tuned.spec.experiment.stiffness))
-    peaks = [" / ".join(number(x, 2) for x in np.asarray(ideal.M_s)[i, own]) for i in range(2)]
-    rows = [
-        ["paper's text design", number(1e3 * arm[0], 1), number(1e3 * before, 1), peaks[0], *_worst(ideal, as_run, 0)],
-        ["autotuned", number(1e3 * arm[1], 1), number(1e3 * after, 1), peaks[1], *_worst(ideal, as_run, 1)],
-    ]
-    header = (
-        "controller",
-        "arm mN",
-        "linear mN",
-        "M_s at 375/810/1900",
-        "GM up/down dB",
-        "PM °",
-        "DM ms",
-        "M_s as run",
+    print(f"; best of the sweep with M_s ≤ 2: {1e3 * best.worst_rms[0]:.1f} mN" if len(best) else "")
+
+    flown = flight.rms(SETTLE)
+    show(
+        f"the arm within the robot's limits, {STIFFNESS:g} N/m, unseen motion: residual RMS of X / Y / Z",
+        ("controller", "measured [mN]", "true force [mN]", "clamped"),
+        [
+            ["paper's text design, simulated", *_told(arm.text)],
+            ["family, simulated", *_told(arm.family)],
+            ["family, flown in lock-step", *map(_three, flown), f"{flight.clamped(SETTLE):.2%}"],
+        ],
     )
-    print()
-    show("worst residual RMS on unseen motion, without the robot's limits; margins of the ideal loop", header, rows)
-    if len(best):
-        print(f"best of the sweep with M_s ≤ 2 (table's motion): {1e3 * best.worst_rms[0]:.1f} mN")
+    as_run = tuned.margins["as run"]
+    text = {name: row.worst(np.asarray(getattr(as_run, name))[0]) for name, row in MARGINS.items()}
+    names = ("family, stiffness unknown", f"family, known to {_band(artifact)}")
+    tables = {"paper's text design": text, **dict(zip(names, _worst_tables(artifact), strict=True))}
+    show(
+        "worst margins from 375 to 1900 N/m, as it runs",
+        ("controller", *(row.heading for row in MARGINS.values())),
+        [[name, *(row.entry(table[key]) for key, row in MARGINS.items())] for name, table in tables.items()],
+    )
+    share = np.max(flown[0] / np.asarray(arm.text.metrics.rms[0]))
+    print(f"flown: at most {share:.2f} of the residual of the paper's text design")
     print(f"\neverything lies in {folder}/ ({seconds:.0f} s):")
     for path in sorted(folder.glob("*")):
         print(f"  {path}{'/' if path.is_dir() else ''}")
 
 
-def _worst(ideal: "Margins", as_run: "Margins", which: int) -> list[str]:
-    import numpy as np
+def _three(values: Any) -> str:
+    return " / ".join(f"{1e3 * float(value):.0f}" for value in values)
 
-    from jaxmpc.terminal.tables import number
 
-    def least(name: str, digits: int, scale: float = 1.0) -> str:
-        return number(scale * np.min(np.asarray(getattr(ideal, name))[which]), digits)
+def _told(outcome: "Outcome") -> list[str]:
+    """Residuals, measured and true, and the share of clamped samples of the one run."""
+    found = outcome.metrics
+    return [_three(found.rms[0]), _three(found.true_rms[0]), f"{float(found.clamped[0].max()):.2%}"]
 
+
+def _worst_tables(artifact: "Artifact") -> list[dict[str, float]]:
+    """Worst margins of both tables: of the fixed gains on every tissue, and where the stiffness is known."""
+    from jaxmpc.quantities import MARGINS
+
+    assert artifact.family is not None
+    tables = artifact.margins, artifact.family["rows"]
     return [
-        f"{least('gain_margin_db', 1)} / {least('gain_reduction_db', 1)}",
-        least("phase_margin_deg", 0),
-        least("delay_margin_s", 1, 1e3),
-        number(np.max(np.asarray(as_run.M_s)[which]), 2),
+        {name: (max if row.ceiling else min)(each[name] for each in table) for name, row in MARGINS.items()}
+        for table in tables
     ]
+
+
+def _band(artifact: "Artifact") -> str:
+    assert artifact.family is not None
+    return f"±{100 * artifact.family['band']:g} %"

@@ -99,7 +99,8 @@ def _draw(
 
     figure = Figure(figsize=(9.0, 2.0 * len(COMPARED)), layout="constrained")
     for axes, (signal, unit) in zip(figure.subplots(len(COMPARED), 1, sharex=True), COMPARED.items(), strict=True):
-        axes.plot(inputs.time, recording.signals[signal], linewidth=2.0, alpha=0.4)
+        if signal in recording.signals:
+            axes.plot(inputs.time, recording.signals[signal], linewidth=2.0, alpha=0.4)
         for style, signals in zip(("k--", "r:"), again.values(), strict=False):
             if signal in signals:
                 axes.plot(inputs.time, signals[signal], style, linewidth=0.8)

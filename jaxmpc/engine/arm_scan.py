@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxmpc import swing
 from jaxmpc.engine.linear_scan import over_stretches
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import (
     ArmCarry,
     ArmLoop,
@@ -21,7 +22,18 @@ from jaxmpc.loop.arm import (
     start,
     untroubled,
 )
-from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, nothing
+from jaxmpc.metrics import (
+    JointTotals,
+    Metrics,
+    Totals,
+    add,
+    add_joints,
+    merge,
+    merge_joints,
+    metrics,
+    no_joints,
+    nothing,
+)
 from jaxmpc.world.robot import HeartSample, Robot
 from jaxmpc.xla import ops
 
@@ -73,7 +85,7 @@ def over_arm_cells(
     on_tissues = robot._replace(tissue=robot.tissue._replace(stiffness=everywhere(stiffness[..., None])))
     cells = Cell(jax.tree.map(everywhere, gains), everywhere(K2), on_tissues)
     # Every operation is elementwise, so arrays may stand for the scalars of the law; vmap traces three times longer.
-    met = ArmSignals(*(jnp.moveaxis(signal, 0, -1)[..., None, None] for signal in signals))
+    met = jax.tree.map(lambda signal: jnp.moveaxis(signal, 0, -1)[..., None, None], signals)
     found, trouble, samples = run(loop, cells, met, force_limit, traced, transform)
 
     def per_cell(leaf: Any) -> Any:
@@ -98,16 +110,30 @@ def run(
     """
 
     def sample_of(cell: Cell, state: Any, now: ArmSignals) -> tuple[Any, ArmSample]:
-        carry, (totals, clamped), trouble = state
+        carry, passing, (totals, joints), trouble = state
         following, sample = advance(loop, cell, carry, now, ops)
+        swinging, passing = swinging_of(passing, sample, now)
+        wanted = [ahead[0] for ahead in now.force_ref]
+        forces = totals, now.score, wanted, sample.force, sample.true_force
         totals = tuple(
-            add(total, score > 0.0, force - wanted[0], a, a - before, force, ops)
-            for total, score, force, wanted, a, before in zip(
-                totals, now.score, sample.force, now.force_ref, sample.a, carry.a, strict=True
+            add(total, score > 0.0, force - ref, true - ref, a, a - before, force, above, ops)
+            for total, score, ref, force, true, a, before, above in zip(
+                *forces, sample.a, carry.a, swinging, strict=True
             )
         )
+        x, y, z = now.score
+        counts = x + y + z > 0.0
+        joints = add_joints(joints, counts, sample.clamped[0], sample.wanted, carry.wanted, ops)
         trouble = noticed(trouble, sample, now, force_limit, ops)
-        return (following, (totals, clamped + sample.clamped[0]), trouble), sample
+        return (following, passing, (totals, joints), trouble), sample
+
+    def swinging_of(passing: Any, sample: ArmSample, now: ArmSignals) -> tuple[Any, Any]:
+        """What of the true force swings at the end of the run, and the filters moved on; nothing if nobody asked."""
+        if passing is None:
+            return (0.0,) * 3, None
+        moved = [swing.step(filtering, one, force) for one, force in zip(passing, sample.true_force, strict=True)]
+        passed, states = zip(*moved, strict=True)
+        return tuple(ops.where(now.late > 0.0, above, 0.0) for above in passed), states
 
     def one(state: Any, raw: ArmSignals) -> tuple[Any, ArmSample | None]:
         opaque = 1.0 + 0.0 * raw.time.ravel()[0]
@@ -115,17 +141,20 @@ def run(
         return following, sample._replace(force_ref=raw.force_ref) if traced else None
 
     def stretch(state: Any, part: ArmSignals) -> tuple[Any, ArmSample | None]:
-        carry, (totals, clamped), trouble = state
-        (carry, partial, trouble), samples = jax.lax.scan(jax.checkpoint(one), (carry, empty, trouble), part)
+        carry, passing, (totals, joints), trouble = state
+        begin = carry, passing, empty, trouble
+        (carry, passing, partial, trouble), samples = jax.lax.scan(jax.checkpoint(one), begin, part)
         totals = tuple(merge(*pair, ops) for pair in zip(totals, partial[0], strict=True))
-        return (carry, (totals, clamped + partial[1]), trouble), samples
+        return (carry, passing, (totals, merge_joints(joints, partial[1], ops)), trouble), samples
 
-    zero = 0.0 * cell.K2
-    empty: tuple[tuple[Totals, ...], Any] = (nothing(zero),) * 3, zero
-    begin: tuple[ArmCarry, Any, Trouble] = start(loop, cell, ops), empty, untroubled(zero)
-    (_, (totals, clamped), trouble), samples = over_stretches(stretch, begin, signals)
-    count, share = jnp.sum(signals.score, axis=0), clamped / len(signals.time)
-    found = [metrics(total, count[i], share, ops) for i, total in enumerate(totals)]
+    zero, judged = 0.0 * cell.K2, signals.late is not None
+    filtering = swing.high_pass(cell.robot.measurement.T_s, ops)
+    empty: tuple[tuple[Totals, ...], JointTotals] = (nothing(zero),) * 3, no_joints(zero)
+    resting = (swing.rest(zero),) * 3 if judged else None
+    begin: tuple[ArmCarry, Any, Any, Trouble] = start(loop, cell, ops), resting, empty, untroubled(zero)
+    (_, _, (totals, joints), trouble), samples = over_stretches(stretch, begin, signals)
+    count, late = jnp.sum(signals.score, axis=0), jnp.sum(signals.late, axis=0) if judged else None
+    found = [metrics(total, count[i], len(signals.time), late, joints, ops) for i, total in enumerate(totals)]
     per_axis: Metrics = jax.tree.map(lambda *axes: jnp.stack(axes), *found)
     if not traced:
         return per_axis, trouble, None

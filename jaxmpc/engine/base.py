@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.law.scalar import Constant, declared
 from jaxmpc.loop.arm import ArmSample, ArmSignals
 from jaxmpc.loop.linear import AxisSignals, Sample
@@ -55,6 +55,8 @@ class CellResults(NamedTuple):
     """When the measured force left its limit or the residual 20 N; ∞ if never [s]."""
     lost_contact: Any
     """When the tip left the tissue; ∞ if never [s]."""
+    backed_off: Any
+    """When a guard first took gain back; ∞ if never [s]."""
     trace: Sample | ArmSample | None
     """(controllers, stiffness, axes, steps, …)"""
 
@@ -108,8 +110,12 @@ def scalars(gains: Gains, preview: bool) -> Gains:
         preview: Whether the reference is known along H_p; else its weights are summed.
     """
     ahead = gains.mpc_ref if preview else jnp.sum(gains.mpc_ref, axis=-1, keepdims=True)
-    vectors = gains._replace(mpc_ref=ahead)
-    names = (name for name, value in declared(Gains).items() if isinstance(value, Constant) and value.shape)
+    family = gains.schedule
+    if family is not None:
+        knots = (knot._replace(gains=scalars(knot.gains, preview)) for knot in family.knots)
+        family = family._replace(knots=tuple(knots))
+    names = (name for name, kind in declared(Gains).items() if isinstance(kind, Constant) and kind.shape)
+    vectors = gains._replace(mpc_ref=ahead, schedule=family)
     apart: dict[str, Any] = {name: tuple(jnp.moveaxis(getattr(vectors, name), -1, 0)) for name in names}
     return vectors._replace(**apart)
 

@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxmpc.law.cascade import Gains
+from jaxmpc import swing
+from jaxmpc.law.gains import Gains
 from jaxmpc.loop.linear import HIGHEST_ERROR, HIGHEST_FORCE, AxisSignals, LinearCarry, Sample, advance, start
-from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, nothing
+from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, no_joints, nothing
 from jaxmpc.world.contact import Contact
 from jaxmpc.xla import ops
 
@@ -57,27 +58,36 @@ def run(
     flag per sample would cost every run what only a lost one needs.
     """
 
-    def one(state: tuple[LinearCarry, Totals], now: AxisSignals) -> tuple[tuple[LinearCarry, Totals], None]:
-        carry, totals = state
+    def one(state: Any, now: AxisSignals) -> tuple[Any, None]:
+        carry, passing, totals = state
         following, sample = advance(gains, contact, lsb, carry, at_one_sample(now), ops)
-        error, before = sample.force - sample.force_ref[0], carry.contact.pending[0]
-        totals = add(totals, now.score, error, sample.a, sample.a - before, sample.force, ops)
-        return (following, totals), None
+        wanted, before = sample.force_ref[0], carry.contact.pending[0]
+        swinging: Any = 0.0
+        if passing is not None:
+            above, passing = swing.step(filtering, passing, sample.true_force)
+            swinging = ops.where(now.late, above, 0.0)
+        errors = sample.force - wanted, sample.true_force - wanted
+        totals = add(totals, now.score, *errors, sample.a, sample.a - before, sample.force, swinging, ops)
+        return (following, passing, totals), None
 
     @jax.checkpoint
-    def stretch(state: tuple[LinearCarry, Totals], part: AxisSignals) -> tuple[tuple[LinearCarry, Totals], Any]:
-        carry, totals = state
-        (carry, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, empty), part)
+    def stretch(state: Any, part: AxisSignals) -> tuple[Any, Any]:
+        carry, passing, totals = state
+        (carry, passing, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, passing, empty), part)
         within = (partial.highest_force < force_limit) & (partial.largest_error < HIGHEST_ERROR)
-        return (carry, merge(totals, partial, ops)), (~(partial.highest_force < HIGHEST_FORCE), ~within)
+        return (carry, passing, merge(totals, partial, ops)), (~(partial.highest_force < HIGHEST_FORCE), ~within)
 
     def first(flags: Array) -> Array:
         return jnp.where(jnp.any(flags), STRETCH * jnp.argmax(flags) * contact.T_s, jnp.inf)
 
-    empty = nothing(jnp.zeros_like(gains.mpc_u))
-    (_, totals), flags = over_stretches(stretch, (start(gains), empty), signals)
+    zero = jnp.zeros_like(gains.mpc_u)
+    empty, filtering = nothing(zero), swing.high_pass(contact.T_s, ops)
+    judged = signals.late is not None
+    begin: tuple[LinearCarry, Any, Totals] = start(gains), swing.rest(zero) if judged else None, empty
+    (_, _, totals), flags = over_stretches(stretch, begin, signals)
     diverged, over = (jnp.concatenate(parts) for parts in zip(*flags, strict=True))
-    found = metrics(totals, jnp.sum(signals.score), jnp.zeros_like(gains.mpc_u), ops)
+    late = jnp.sum(signals.late) if judged else None
+    found = metrics(totals, jnp.sum(signals.score), len(signals.heart), late, no_joints(zero), ops)
     return found, first(diverged), first(over)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxmpc.engine.base import CellResults, Engine, ProgramSpec, ScenarioData, scalars
 from jaxmpc.engine.scan import on_arm
-from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
+from jaxmpc.law.gains import Gains
 from jaxmpc.law.scalar import Vector
 from jaxmpc.world.arm import JOINTS, model
 from jaxmpc.world.contact import Contact

@@ -7,7 +7,7 @@ from jaxmpc.engine.arm_scan import Transform, over_arm_cells
 from jaxmpc.engine.base import CellResults, Engine, ProgramSpec, ScenarioData, as_dtype, scalars
 from jaxmpc.engine.forward_dynamics import implicit
 from jaxmpc.engine.linear_scan import over_cells, record, run
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import ArmLoop
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import Contact
@@ -37,7 +37,8 @@ class Scan(Engine):
         cells = as_dtype((gains, contacts, data.lsb, data.signals, data.force_limit), dtype)
         metrics, diverged, over_limit = over_cells(run, *cells)
         never = diverged + inf
-        return CellResults(metrics, diverged, over_limit, never, over_cells(record, *cells[:-1]) if traced else None)
+        samples = over_cells(record, *cells[:-1]) if traced else None
+        return CellResults(metrics, diverged, over_limit, never, never, samples)
 
 
 def on_arm(

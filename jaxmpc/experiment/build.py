@@ -24,7 +24,8 @@ from jaxmpc.world.tissue import Tissue
 def structure_of(arm: ArmSettings, tissue: TissueSettings) -> RobotStructure:
     """What of the settings makes a program of its own."""
     cable, tool_inertia = arm.cable_hz > 0.0, arm.beyond_sensor > 0.0
-    structure = cable, tool_inertia, arm.integrator, arm.substeps, arm.compensation > 0.0
+    cancelled = arm.compensation > 0.0, arm.momentum_observer > 0.0
+    structure = cable, tool_inertia, arm.integrator, arm.substeps, *cancelled
     return RobotStructure(tissue.kind, tissue.attached, *structure)
 
 
@@ -51,6 +52,7 @@ def robot_of(experiment: Experiment) -> Robot:
                 arm.nominal_presliding or arm.presliding,
             ),
         ),
+        momentum_bandwidth=arm.momentum_observer,
         posture=posture,
         touch=tuple(map(float, tip_at(posture))),
         extra_delay=float(experiment.delay - 1),

@@ -189,6 +189,11 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         motion = msgspec.structs.replace(self.motion, phases="random", seed=seed)
         return msgspec.structs.replace(self, motion=motion, sensor=msgspec.structs.replace(self.sensor, seed=seed))
 
+    @property
+    def limited(self) -> bool:
+        """Whether it is an arm within a robot's limits, not one whose joints give whatever is asked for."""
+        return self.physics != "linear" and any((*self.arm.joint_torque_limit, *self.arm.torque_step_limit))
+
     def without_limits(self) -> "Experiment":
         """The same arm, whose joints give whatever is asked for: a study, not a robot."""
         none = (0.0,) * 4

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.law.momentum_observer import FASTEST
 from jaxmpc.law.scalar import Vector
 from jaxmpc.law.transmission import IPNM, MOTOR_TORQUE_LIMIT
 from jaxmpc.world.arm import TOOL_MASS, joint_ranges, posture_at
@@ -23,6 +24,7 @@ Metre = Annotated[float, msgspec.Meta(ge=-2.0, le=2.0)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
 Kilogram = Annotated[float, msgspec.Meta(ge=-1.0, le=4.0)]
 Torque = Annotated[float, msgspec.Meta(ge=0.0, le=200.0)]
+Bandwidth = Annotated[float, msgspec.Meta(ge=0.0, le=FASTEST)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 Torques = tuple[Torque, Torque, Torque, Torque]
 
@@ -101,6 +103,10 @@ def softening(tissue: TissueSettings, t: np.ndarray) -> np.ndarray:
     return factor
 
 
+RESOLVED = 100.0
+"""Fastest cable mode that a single substep of 1 ms does not turn into a numerical instability [Hz]."""
+
+
 class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The 4-DoF WAM and its imperfections."""
 
@@ -124,6 +130,8 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Viscous friction of the joints [N m s/rad] (OWD; the other published row is 1.63, 2.372, 0.8554, 0.6153)."""
     compensation: Share = 0.0
     """Share of the friction that the controller compensates [-]."""
+    momentum_observer: Bandwidth = 0.0
+    """Bandwidth of the observer of the joints' momentum that cancels friction without a model [rad/s]; 0 is none."""
     nominal_coulomb: Torques | None = None
     """Coulomb friction of which it compensates that share [N m]; none is the true one."""
     nominal_viscous: Torques | None = None
@@ -144,14 +152,22 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Largest torque of each joint, as the robot's clamp has it [N m]; 0 is no limit."""
     torque_step_limit: Torques = (10.0, 10.0, 10.0, 10.0)
     """Largest change of a joint's torque from one sample to the next, the same [N m]; 0 is no limit."""
-    cable_hz: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0
-    """Cable mode of each joint against its locked motor [Hz] (prior 15–60); 0 is a rigid cable."""
+    cable_hz: Annotated[float, msgspec.Meta(ge=0.0, le=300.0)] = 0.0
+    """Cable mode of each joint against its locked motor [Hz] (90–250 plausible, 15–60 stress); 0 is a rigid cable."""
     cable_damping: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.05
     """Its damping ratio [-] (prior 0.03–0.1)."""
 
     def __post_init__(self) -> None:
+        if self.compensation and self.momentum_observer:
+            bound = f"0 beside arm.compensation = {self.compensation:g}"
+            remedy = "Cancel friction by one of them: set the other to 0."
+            raise InputError("arm.momentum_observer", self.momentum_observer, bound, remedy)
         if self.cable_hz and self.integrator == "euler":
             raise InputError("arm.integrator", "euler", '"leapfrog" with a cable mode', "Set arm.cable_hz = 0.")
+        if self.cable_hz > RESOLVED * self.substeps:
+            bound = f"at most {RESOLVED:g} Hz per substep (arm.substeps = {self.substeps})"
+            remedy = "Raise arm.substeps: five resolve 250 Hz."
+            raise InputError("arm.cable_hz", self.cable_hz, bound, remedy)
         if self.beyond_sensor > self.tool_mass:
             bound = f"at most arm.tool_mass (= {self.tool_mass:g} kg)"
             raise InputError("arm.beyond_sensor", self.beyond_sensor, bound, "The sensor is part of the tool.")

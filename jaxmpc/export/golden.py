@@ -1,5 +1,6 @@
 """The golden trace: forces (and angles) of a simulated run, and what the JAX-traced law answered to them."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -12,8 +13,8 @@ from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.build import robot_of
 from jaxmpc.law import cascade, entry, force_control, torque_limits
-from jaxmpc.law.cascade import Gains
 from jaxmpc.law.force_control import Controller
+from jaxmpc.law.gains import Gains
 from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.arm import chain
@@ -64,9 +65,14 @@ def simulated_run(params: Params, experiment: Experiment) -> tuple[np.ndarray, n
 @in_float64
 def simulated_arm_runs(params: Params, experiment: Experiment, stiffness: tuple[float, ...]) -> list[ArmRun]:
     """What one controller reads on the experiment's arm, at each stiffness [N/m]."""
-    trace = _simulated(params, experiment, stiffness)
+    return read_in(experiment, _simulated(params, experiment, stiffness))
+
+
+def read_in(experiment: Experiment, trace: Mapping[str, Any]) -> list[ArmRun]:
+    """What a controller read in each run of a trace, whose signals are (stiffness, axes or joints, steps, …)."""
     drive, runs = robot_of(experiment).drive, []
-    for q, force, force_ref in zip(trace["q"], trace["force"], trace["force_ref"], strict=True):
+    signals = (np.asarray(trace[name]) for name in ("q", "force", "force_ref"))
+    for q, force, force_ref in zip(*signals, strict=True):
         # The encoders are read as the arm reads them, but for the cable, which the trace does not tell.
         measured = np.stack(drive_read(drive, tuple(q), np), axis=1)
         wanted = np.moveaxis(force_ref, 0, 1)
@@ -128,7 +134,8 @@ def arm_law_trace(gains: Gains, K2: float, experiment: Experiment, run: ArmRun) 
     preview, compensated = experiment.reference.preview, experiment.arm.compensation > 0.0
     robot = robot_of(experiment)
     apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
-    controller = Controller(chain(), robot.nominal, robot.posture, apart, K2, robot.measurement)
+    bandwidth = experiment.arm.momentum_observer or None
+    controller = Controller(chain(), robot.nominal, robot.posture, apart, K2, robot.measurement, bandwidth)
     wanted = run.force_ref if preview else run.force_ref[:, :, None]
     inputs = run.q, run.force, wanted
     free = _arm_law(controller, robot.limits, inputs, compensated=compensated)

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.law import entry, force_control, friction_compensation
+from jaxmpc.law import entry, force_control, friction_compensation, identification
 from jaxmpc.law.force_control import Controller, ControllerState
+from jaxmpc.law.gain_backoff import BackoffMemory
 from jaxmpc.law.measurement import MeasurementState
 from jaxmpc.law.recorded import RecordedInputs
 from jaxmpc.xla import ops
@@ -33,7 +34,7 @@ def replay_law(controller: Controller, compensated: bool, flown: RecordedInputs)
         felt = tuple(jnp.where(jnp.isnan(y), 0.0, y) for y in force)
         state = _chosen(now["enters"], entry.enter(controller, state, felt, a, ops), state)
         known = ~jnp.any(jnp.isnan(now["force"]))
-        force = _chosen(known, force, entry.expected_force(controller, state))
+        force = _chosen(known, force, entry.expected_force(controller, state, ops))
         wanted = tuple(tuple(axis) for axis in now["force_ref"])
         following, command = force_control.respond(controller, state, force, wanted, ops)
         sample = {
@@ -41,12 +42,14 @@ def replay_law(controller: Controller, compensated: bool, flown: RecordedInputs)
             "v": command.v,
             "a": command.a,
             "p_hat": tuple(axis.p_hat for axis in following.axes),
-            "gain": (jnp.ones(()) if following.guard is None else following.guard.gain,),
+            "gain": (jnp.ones(()) if following.guard is None else following.guard.memory.gain,),
+            **_known(controller, following),
             "wanted": command.torque.torque,
         }
         if following.guard is not None:
-            gain = jnp.where(jnp.isnan(now["gain"]), following.guard.gain, now["gain"])
-            following = following._replace(guard=following.guard._replace(gain=gain))
+            known = jnp.all(jnp.isfinite(now["memory"]))
+            memory = _chosen(known, BackoffMemory(*now["memory"]), following.guard.memory)
+            following = following._replace(guard=following.guard._replace(memory=memory))
         if state.bristles is not None:
             moved, _ = friction_compensation.step(controller.nominal.friction, state.bristles, q, qd, ops)
             state = state._replace(bristles=_chosen(now["servo"], moved, state.bristles))
@@ -59,11 +62,24 @@ def replay_law(controller: Controller, compensated: bool, flown: RecordedInputs)
     rows = {name: np.nan_to_num(getattr(flown, name)) for name in ("q", "qd", "force_ref", "applied", "a")}
     rows["a_before"] = np.concatenate([np.zeros((1, 3)), rows.pop("a")[:-1]])
     rows["force_ref"] = rows["force_ref"].reshape(len(flown.time), 3, -1)
-    rows |= {name: getattr(flown, name) for name in ("force", "contact", "enters", "servo", "gain")}
+    rows |= {name: getattr(flown, name) for name in ("force", "contact", "enters", "servo", "memory")}
     start = force_control.init(controller, tuple(rows["q"][0]), tuple(np.nan_to_num(flown.force[0])), compensated)
     start = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), start)
     _, signals = jax.jit(lambda start, rows: jax.lax.scan(one, start, rows))(start, rows)
     return {name: np.where(flown.contact[:, None], values, np.nan) for name, values in signals.items()}
+
+
+def _known(controller: Controller, state: ControllerState) -> dict[str, Any]:
+    """What a schedule believes of the tissue, and its sine; nothing without one."""
+    schedule = controller.gains.schedule
+    tissues = [axis.tissue for axis in state.axes if axis.tissue is not None]
+    if schedule is None or not tissues:
+        return {}
+    return {
+        "stiffness": [ops.exp(tissue.log_stiffness) for tissue in tissues],
+        "authority": [tissue.authority for tissue in tissues],
+        "dither": [identification.dither(schedule.identification, tissue) for tissue in tissues],
+    }
 
 
 def _chosen(condition: Any, yes: Any, no: Any) -> Any:

@@ -18,45 +18,13 @@ Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Any, NamedTuple
+from typing import NamedTuple
 
-from jaxmpc.law import force_filter
-from jaxmpc.law.force_filter import FilteredForce, ForceFilter
-from jaxmpc.law.gain_backoff import GainBackoff
-from jaxmpc.law.scalar import Constant, Scalar
-
-Vector = Any
-"""A sequence of scalars, or an array whose last dimension is that sequence."""
-_PAIR, _ANY = Constant((2,)), Constant((None,))
-
-
-class Gains(NamedTuple):
-    """Everything the law needs to know of one controller.
-
-    A field is a scalar or a sequence of scalars; in a batch each has the batch's leading dimensions.
-    The MPC output u is a force [N]; for the architecture "mpc" it is the acceleration v itself [m/s²].
-    """
-
-    phi: Annotated[Vector, _PAIR]
-    """φ₁₂ [s] and φ₂₂ [-] of the contact model Φ₂ = [[1, φ₁₂], [0, φ₂₂]], shape (2,)."""
-    gamma: Annotated[Vector, _PAIR]
-    """Γ₂: force [N] and force rate [N/s] gained in one sample per acceleration [m/s²], shape (2,)."""
-    K: Annotated[Vector, _ANY]
-    """Kalman gain: force [-], force rate [1/s], delayed input, active state and its differences [m/s²/N], (3 + N,)."""
-    L: Annotated[Vector, Constant((3,))]
-    """State feedback: force [m/s²/N], force rate [m/s/N], delayed input [-], shape (3,)."""
-    input_gain: Annotated[Scalar, Constant()]
-    """g, acceleration per unit of u: L₁ [m/s²/N] makes the DC gain u → y one."""
-    mpc_ref: Annotated[Vector, _ANY]
-    """Weights r on the force reference 1…n samples ahead [-], shape (n,); their sum acts on a constant."""
-    mpc_x: Annotated[Vector, _PAIR]
-    """MPC feedback of the estimated force [-] and force rate [s], shape (2,)."""
-    mpc_u: Annotated[Scalar, Constant()]
-    """MPC feedback of the previous output [-]."""
-    guard: GainBackoff | None = None
-    """What takes the gain back while the force swings; None takes none."""
-    force_filter: ForceFilter | None = None
-    """What the measured force passes before anything else reads it; None passes it as it is."""
+from jaxmpc.law import force_filter, identification
+from jaxmpc.law.force_filter import FilteredForce
+from jaxmpc.law.gains import Gains, order
+from jaxmpc.law.identification import StiffnessEstimate
+from jaxmpc.law.scalar import Scalar
 
 
 class AxisState(NamedTuple):
@@ -74,18 +42,17 @@ class AxisState(NamedTuple):
     """Estimated differences of the active state from sample to sample, 1st to (N − 1)-th [m/s²]."""
     filtered: FilteredForce | None = None
     """What the filter of the measured force remembers; None without one."""
-
-
-def order(gains: Gains) -> int:
-    """Disturbance order N of one controller."""
-    return len(gains.K) - 3
+    tissue: StiffnessEstimate | None = None
+    """What is known of the tissue; None without a schedule."""
 
 
 def init(gains: Gains, force: Scalar = 0.0) -> AxisState:
     """State at rest in contact with a measured force [N]: no rate, no disturbance, no command."""
     zero = 0.0 * force
+    schedule = gains.schedule
+    tissue = None if schedule is None else identification.init(schedule.identification, force)
     filtered = None if gains.force_filter is None else FilteredForce(force, zero)
-    return AxisState((force, zero, zero), zero, force, zero, (zero,) * (order(gains) - 1), filtered)
+    return AxisState((force, zero, zero), zero, force, zero, (zero,) * (order(gains) - 1), filtered, tissue)
 
 
 def filter_force(gains: Gains, state: AxisState, force: Scalar) -> tuple[AxisState, Scalar]:
@@ -149,23 +116,4 @@ def respond(gains: Gains, state: AxisState, force: Scalar, force_ref: Sequence[S
     for weight, wanted in zip(gains.mpc_ref, force_ref, strict=True):
         u = u + weight * wanted
     v = gains.input_gain * u - gains.L[0] * x_hat[0] - gains.L[1] * x_hat[1] - gains.L[2] * x_hat[2] - p_hat
-    return AxisState(x_hat, p_hat, u, v, trend, state.filtered), v
-
-
-def with_gain(gains: Gains, gain: Scalar) -> Gains:
-    """The same controller for a tissue of stiffness K̂_s/gain: what it commands is scaled, what it estimates is not."""
-    K_1, K_2, *K_v = (gains.K[i] for i in range(len(gains.K)))
-    return gains._replace(
-        gamma=tuple(each / gain for each in gains.gamma),
-        K=(K_1, K_2, *(gain * each for each in K_v)),
-        L=(gain * gains.L[0], gain * gains.L[1], gains.L[2]),
-        input_gain=gain * gains.input_gain,
-    )
-
-
-def constant_reference(gains: Gains) -> Gains:
-    """The same controller for a reference held constant along H_p, as in the paper: one summed weight."""
-    total = gains.mpc_ref[0]
-    for weight in gains.mpc_ref[1:]:
-        total = total + weight
-    return gains._replace(mpc_ref=(total,))
+    return AxisState(x_hat, p_hat, u, v, trend, state.filtered, state.tissue), v

@@ -53,6 +53,10 @@ class JointTorque(NamedTuple):
     jacobian: Matrix
     factors: Any
     """LDLᵀ factors of the nominal mass matrix."""
+    mass: Matrix = ()
+    """Nominal mass matrix, armature included [kg m²]."""
+    load: Vector = ()
+    """What of the torques holds the arm where it is, cₙ + Jᵀy [N m]."""
 
 
 def tip_velocity(chain: Chain, q: Vector, qd: Vector, ops: Ops) -> Vector:
@@ -102,7 +106,8 @@ def torque(
     w = sub(sub(a, found.drift), apply(J, posture_acceleration))
     at_the_tip = add(solve_ldl(factor_ldl(mobility), w), force)
     tau = add(add(apply(mass, posture_acceleration), bias), apply_transposed(J, at_the_tip))
-    return JointTorque(add(tau, friction), J, factors)
+    load = add(bias, apply_transposed(J, force))
+    return JointTorque(add(tau, friction), J, factors, mass, load)
 
 
 def acceleration_of(found: JointTorque, change: Vector) -> Vector:

@@ -4,14 +4,15 @@ What was asked of the tip before contact, v = a + K₂ẋ, was all that held it 
 disturbance, p̂ = −v. While the wanted force is the measured one, the cascades then begin with the same a: no bump.
 """
 
-from jaxmpc.law import cascade, computed_torque, gain_backoff
+from jaxmpc.law import cascade, computed_torque, gain_backoff, momentum_observer, schedule
 from jaxmpc.law.force_control import Controller, ControllerState
+from jaxmpc.law.gains import backed_off
 from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Vector, add, scale
 
 
 def enter(controller: Controller, state: ControllerState, force: Vector, a: Vector, ops: Ops) -> ControllerState:
-    """Begin control in contact: observers at the measured force, full gain, friction as it was.
+    """Begin control in contact: observers at the measured force, full gain, no disturbance, friction as it was.
 
     Args:
         controller: Constants.
@@ -25,10 +26,15 @@ def enter(controller: Controller, state: ControllerState, force: Vector, a: Vect
         cascade.init(controller.gains, felt)._replace(p_hat=-held, v=held) for felt, held in zip(force, v, strict=True)
     )
     guard = None if controller.gains.guard is None else gain_backoff.init(0.0 * force[0])
-    return state._replace(axes=(x, y, z), guard=guard)
+    momentum = None if controller.momentum_bandwidth is None else momentum_observer.init(state.measured.velocity)
+    return state._replace(axes=(x, y, z), guard=guard, momentum=momentum)
 
 
-def expected_force(controller: Controller, state: ControllerState) -> Vector:
+def expected_force(controller: Controller, state: ControllerState, ops: Ops) -> Vector:
     """What is to be measured at the next sample, X, Y, Z [N]; it stands in for a force that is lost."""
-    gains = controller.gains if state.guard is None else cascade.with_gain(controller.gains, state.guard.gain)
-    return tuple(cascade.expected_force(gains, axis) for axis in state.axes)
+    expected = []
+    for axis in state.axes:
+        gains, _ = schedule.now(controller.gains, controller.K2, axis, ops)
+        gains = gains if state.guard is None else backed_off(gains, state.guard.memory.gain)
+        expected.append(cascade.expected_force(gains, axis))
+    return tuple(expected)

@@ -2,22 +2,34 @@
 
     q̇ from q,  vₖ per axis from the cascade,  a = v − K₂ ẋ,  τ from a by computed torque      [P] Fig. 1
 
-and, if wanted, what a nominal model says of the joints' friction on top of τ. After `step` the limits may change the
+and, if wanted, what a nominal model says of the joints' friction on top of τ, or what an observer of their momentum
+takes for a disturbance. After `step` the limits may change the
 torques; `applied` tells the observers, at every sample, which torques they let pass, before anything rounds them.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from jaxmpc.law import cascade, computed_torque, friction_compensation, gain_backoff, measurement
-from jaxmpc.law.cascade import AxisState, Gains
+from jaxmpc.law import (
+    cascade,
+    chain,
+    computed_torque,
+    friction_compensation,
+    gain_backoff,
+    measurement,
+    momentum_observer,
+    schedule,
+)
+from jaxmpc.law.cascade import AxisState
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.computed_torque import JointTorque, Nominal
 from jaxmpc.law.friction_compensation import Bristles
 from jaxmpc.law.gain_backoff import BackoffState
+from jaxmpc.law.gains import Gains, backed_off
 from jaxmpc.law.measurement import Measurement, MeasurementState
+from jaxmpc.law.momentum_observer import MomentumState
 from jaxmpc.law.ops import Ops
-from jaxmpc.law.scalar import Scalar, Vector, add, scale, sub
+from jaxmpc.law.scalar import ZERO, Scalar, Vector, add, apply, plus, sub, times
 
 NO_FRICTION = (0.0, 0.0, 0.0, 0.0)
 
@@ -37,6 +49,8 @@ class Controller(NamedTuple):
     """Damping [1/s]."""
     measurement: Measurement
     """How velocities come from angles."""
+    momentum_bandwidth: Scalar | None = None
+    """With which a disturbance of the joints' momentum is observed and cancelled [rad/s]; None observes none."""
 
 
 class ControllerState(NamedTuple):
@@ -50,6 +64,8 @@ class ControllerState(NamedTuple):
     """Deflections of the friction that is cancelled; None cancels none."""
     guard: BackoffState | None = None
     """State of the gain back-off; None where the gain is never taken back."""
+    momentum: MomentumState | None = None
+    """State of the observer of the joints' momentum; None where nothing is observed."""
 
 
 class Command(NamedTuple):
@@ -75,7 +91,9 @@ def init(controller: Controller, angle: Vector, force: Vector, compensated: bool
     x, y, z = (cascade.init(controller.gains, each) for each in force)
     guard = None if controller.gains.guard is None else gain_backoff.init(0.0 * force[0])
     bristles = friction_compensation.init(angle) if compensated else None
-    return ControllerState(measurement.init(angle), (x, y, z), bristles, guard)
+    measured = measurement.init(angle)
+    momentum = None if controller.momentum_bandwidth is None else momentum_observer.init(measured.velocity)
+    return ControllerState(measured, (x, y, z), bristles, guard, momentum)
 
 
 def step(
@@ -85,6 +103,7 @@ def step(
     force: Vector,
     force_ref: Sequence[Sequence[Scalar]],
     ops: Ops,
+    push: Vector = ZERO,
 ) -> tuple[ControllerState, Command]:
     """Advance the controller by one sample.
 
@@ -95,27 +114,63 @@ def step(
         force: Measured force on the tissue, 3 scalars [N]; a lost one is bridged by `entry.expected_force`.
         force_ref: Wanted force per axis, as `cascade.step` takes it [N].
         ops: Scalar functions.
+        push: Acceleration added to a that the cascades do not know of, where a loop is to be judged, 3 scalars [m/s²].
     """
     measured = measurement.measure(controller.measurement, state.measured, q)
-    return respond(controller, state._replace(measured=measured), force, force_ref, ops)
+    return respond(controller, state._replace(measured=measured), force, force_ref, ops, push)
 
 
 def respond(
-    controller: Controller, state: ControllerState, force: Vector, force_ref: Sequence[Sequence[Scalar]], ops: Ops
+    controller: Controller,
+    state: ControllerState,
+    force: Vector,
+    force_ref: Sequence[Sequence[Scalar]],
+    ops: Ops,
+    push: Vector = ZERO,
 ) -> tuple[ControllerState, Command]:
     """Advance the controller by one sample whose joint angles and velocities are in the state; else as `step`."""
     gains, guard, (q, qd) = controller.gains, state.guard, state.measured
-    filtered = [cascade.filter_force(gains, *axis) for axis in zip(state.axes, force, strict=True)]
+    tip = chain.tip(controller.chain, chain.pose(controller.chain, q, ops))
+    taken = 0.0 if guard is None else gain_backoff.taken(guard.memory, ops)
+    heard = [
+        schedule.listen(gains, axis, y, x, ahead[0], taken, ops)
+        for axis, y, x, ahead in zip(state.axes, force, tip.position, force_ref, strict=True)
+    ]
+    filtered = [cascade.filter_force(gains, axis, y) for (axis, _, _), y in zip(heard, force, strict=True)]
     force = tuple(each for _, each in filtered)
     if gains.guard is not None and guard is not None:
-        guard = gain_backoff.step(gains.guard, guard, sub(force, tuple(wanted[0] for wanted in force_ref)))
-        gains = cascade.with_gain(gains, guard.gain)
-    stepped = [cascade.respond(gains, *axis, wanted) for axis, wanted in zip(filtered, force_ref, strict=True)]
-    v = tuple(command for _, command in stepped)
-    a = sub(v, scale(controller.K2, computed_torque.tip_velocity(controller.chain, q, qd, ops)))
-    bristles, torque = torque_for(controller, state, a, force, ops)
-    x, y, z = (following for following, _ in stepped)
-    return ControllerState(state.measured, (x, y, z), bristles, guard), Command(torque, v, a)
+        _, dithers, answers = zip(*heard, strict=True)
+        error = sub(sub(force, answers), tuple(wanted[0] for wanted in force_ref))
+        guard = gain_backoff.step(gains.guard, guard, error, ops, (*dithers, *answers))
+    axes, v, damping = [], [], []
+    speed = apply(tip.jacobian, qd)
+    for (axis, y), (_, dither, _), ahead, xdot in zip(filtered, heard, force_ref, speed, strict=True):
+        known, K2 = schedule.now(gains, controller.K2, axis, ops)
+        if guard is not None:
+            known = backed_off(known, guard.memory.gain)
+        following, command = cascade.respond(known, axis, y, tuple(plus(wanted, dither) for wanted in ahead))
+        damping.append(times(K2, xdot))
+        axes.append(schedule.damped(following, damping[-1]))
+        v.append(command)
+    a = sub(tuple(v), tuple(damping))
+    bristles, torque = torque_for(controller, state, add(a, push), force, ops)
+    momentum, torque = _undisturbed(controller, state, torque)
+    x, y, z = axes
+    return ControllerState(state.measured, (x, y, z), bristles, guard, momentum), Command(torque, tuple(v), a)
+
+
+def _undisturbed(
+    controller: Controller, state: ControllerState, torque: JointTorque
+) -> tuple[MomentumState | None, JointTorque]:
+    """Joint torques less the disturbance of the momentum that they show, and the observer's next state."""
+    bandwidth, momentum = controller.momentum_bandwidth, state.momentum
+    if bandwidth is None or momentum is None:
+        return momentum, torque
+    wanted = sub(torque.torque, torque.load)
+    momentum = momentum_observer.step(
+        bandwidth, controller.measurement, momentum, torque.mass, state.measured.velocity, wanted
+    )
+    return momentum, torque._replace(torque=sub(torque.torque, momentum.residual))
 
 
 def torque_for(
@@ -125,27 +180,33 @@ def torque_for(
     bristles, friction, (q, qd) = state.bristles, NO_FRICTION, state.measured
     if bristles is not None:
         bristles, friction = friction_compensation.step(controller.nominal.friction, bristles, q, qd, ops)
-    chain, nominal, posture = controller.chain, controller.nominal, controller.posture
-    return bristles, computed_torque.torque(chain, nominal, posture, q, qd, a, force, friction, ops)
+    arm, nominal, posture = controller.chain, controller.nominal, controller.posture
+    return bristles, computed_torque.torque(arm, nominal, posture, q, qd, a, force, friction, ops)
 
 
-def told(command: Command, passed: Vector) -> Vector:
-    """Commands that the observers are to take for applied, X, Y, Z [m/s²]: v where the limits changed nothing.
+def told(command: Command, passed: Vector) -> tuple[Vector, Vector]:
+    """What the observers are to take for applied.
 
     Args:
         command: What `step` wanted.
         passed: The joint torques that the limits let pass, 4 scalars [N m].
+
+    Returns:
+        Commands X, Y, Z [m/s²], v where the limits changed nothing, and what they changed of the torques [N m].
     """
-    lost = computed_torque.acceleration_of(command.torque, sub(passed, command.torque.torque))
-    return add(command.v, lost)
+    change = sub(passed, command.torque.torque)
+    return add(command.v, computed_torque.acceleration_of(command.torque, change)), change
 
 
-def holding(state: ControllerState, v: Vector) -> ControllerState:
-    """The state whose observers take commands v for applied [m/s²]."""
+def holding(state: ControllerState, v: Vector, change: Vector) -> ControllerState:
+    """The state whose observers take commands v [m/s²] and torques changed by so much [N m] for applied."""
     x, y, z = (axis._replace(v=each) for axis, each in zip(state.axes, v, strict=True))
-    return state._replace(axes=(x, y, z))
+    momentum = state.momentum
+    if momentum is not None:
+        momentum = momentum._replace(accelerating=add(momentum.accelerating, change))
+    return state._replace(axes=(x, y, z), momentum=momentum)
 
 
 def applied(state: ControllerState, command: Command, passed: Vector) -> ControllerState:
     """Tell the observers what was really applied (anti-windup); as `told` and `holding`."""
-    return holding(state, told(command, passed))
+    return holding(state, *told(command, passed))

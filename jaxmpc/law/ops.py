@@ -25,6 +25,9 @@ class Ops(Protocol):
     def exp(self, value: Scalar, /) -> Scalar:
         """Exponential."""
 
+    def log(self, value: Scalar, /) -> Scalar:
+        """Natural logarithm."""
+
     def floor(self, value: Scalar, /) -> Scalar:
         """Largest whole number not above a value."""
 
@@ -44,7 +47,8 @@ class Ops(Protocol):
 class _Floats:
     """The functions on Python's own numbers; an exponential that would overflow is held at e⁵⁰."""
 
-    sin, cos, sqrt = staticmethod(math.sin), staticmethod(math.cos), staticmethod(math.sqrt)
+    sin, cos = staticmethod(math.sin), staticmethod(math.cos)
+    sqrt, log = staticmethod(math.sqrt), staticmethod(math.log)
     minimum, maximum = staticmethod(min), staticmethod(max)
 
     @staticmethod

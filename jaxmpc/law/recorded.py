@@ -26,8 +26,9 @@ class RecordedInputs(NamedTuple):
     """Whether it was for the first time (n,)."""
     servo: Any
     """Whether the servo was, which only moves the friction's bristles (n,)."""
-    gain: Any
-    """Gain that a guard left after the sample where it is taken from the recording, NaN where it is found (n,) [-]."""
+    memory: Any
+    """What a guard remembered after the sample, gain first, where it is taken from the recording, NaN where it is found
+    (n, 3) [-]."""
     judged: Any
     """Whether the law's outputs can be told from the recording (n,)."""
     fresh: Any

@@ -5,7 +5,7 @@ operation). Products with the constants 0 and 1 and sums with 0 vanish while the
 and ones of a robot's geometry cost nothing at run time.
 """
 
-from typing import Any, NamedTuple, get_args, get_type_hints
+from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 
 Scalar = Any
 """A float, a traced JAX scalar, a batch of either, or a recorded operation."""
@@ -28,10 +28,16 @@ class Constant(NamedTuple):
 
 
 def declared(table: type) -> dict[str, Any]:
-    """Fields of a table of constants by name: the `Constant` of each, or the class of a part that may be missing."""
+    """Fields of a table of constants by name.
+
+    Returns:
+        The `Constant` of each, the class of a part that may be missing, or the class of several parts in a tuple.
+    """
     found: dict[str, Any] = {}
     for name, hint in get_type_hints(table, include_extras=True).items():
-        found[name] = next(each for each in get_args(hint) if isinstance(each, Constant) or hasattr(each, "_fields"))
+        kinds = (hint, *get_args(hint))
+        kind = next(each for each in kinds if isinstance(each, Constant) or hasattr(each, "_fields"))
+        found[name] = (kind,) if get_origin(hint) is tuple else kind
     return found
 
 

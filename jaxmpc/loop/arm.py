@@ -4,15 +4,19 @@ from collections.abc import Iterable
 from math import inf
 from typing import Any, NamedTuple
 
-from jaxmpc.law import force_control, torque_limits
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law import force_control, identification, torque_limits
+from jaxmpc.law.cascade import AxisState
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.force_control import Controller, ControllerState
+from jaxmpc.law.gains import Gains
 from jaxmpc.law.ops import Ops
-from jaxmpc.law.scalar import Scalar
+from jaxmpc.law.scalar import ZERO, Scalar, Vector
 from jaxmpc.loop.linear import HIGHEST_ERROR, HIGHEST_FORCE
 from jaxmpc.world import drive, robot
 from jaxmpc.world.robot import Accelerate, Robot, RobotState, RobotStructure
+
+AT_REST = 0.99
+"""Gain from which on a guard counts as at rest [-]."""
 
 
 class ArmSignals(NamedTuple):
@@ -34,6 +38,8 @@ class ArmSignals(NamedTuple):
     """1 once contact must not be lost, else 0."""
     time: Scalar
     """[s]"""
+    late: Any = None
+    """Whether the sample is of the end of the run, where swinging is judged; None costs nothing and judges none."""
 
 
 class ArmSample(NamedTuple):
@@ -61,6 +67,16 @@ class ArmSample(NamedTuple):
     """Share of the loop's gain that the guard leaves [-]; 1 without one."""
     clamped: Any = (0.0,)
     """1 where a torque limit acted, else 0."""
+    true_force: Any = (0.0, 0.0, 0.0)
+    """Force on the tissue itself, without noise, rounding and filter of the sensor [N]."""
+    wanted: Any = (0.0, 0.0, 0.0, 0.0)
+    """Torques that the law wanted, before any limit [N m]."""
+    stiffness: Any = (0.0, 0.0, 0.0)
+    """K̂, what the tissue's stiffness is believed to be [N/m]; 0 without a schedule."""
+    authority: Any = (0.0, 0.0, 0.0)
+    """Share of the control that the schedule has [-]; 0 without one."""
+    dither: Any = (0.0, 0.0, 0.0)
+    """Sine that was added to the wanted force, by which the stiffness is found [N]; 0 without a schedule."""
 
 
 class Trouble(NamedTuple):
@@ -70,6 +86,8 @@ class Trouble(NamedTuple):
     over_limit: Any
     """The measured force, Euclidean norm, left its limit or the residual of an axis `HIGHEST_ERROR`."""
     lost_contact: Any
+    backed_off: Any
+    """The guard took gain back, below `AT_REST`."""
 
 
 class ArmCarry(NamedTuple):
@@ -79,6 +97,8 @@ class ArmCarry(NamedTuple):
     robot: RobotState
     a: Any
     """Accelerations asked at the last sample [m/s²]."""
+    wanted: Any
+    """Torques wanted there [N m]."""
 
 
 class Cell(NamedTuple):
@@ -105,16 +125,19 @@ def start(loop: ArmLoop, cell: Cell, ops: Ops) -> ArmCarry:
     state = robot.init(loop.chain, loop.structure, cell.robot, zero, ops)
     resting = robot.encoders(loop.structure, cell.robot, state, ops)
     controller = force_control.init(controller_of(loop, cell), resting, (zero,) * 3, loop.structure.compensated)
-    return ArmCarry(controller, state, (zero, zero, zero))
+    return ArmCarry(controller, state, (zero, zero, zero), state.pending[0])
 
 
 def controller_of(loop: ArmLoop, cell: Cell) -> Controller:
     """The law's constants in one cell."""
     arm = cell.robot
-    return Controller(loop.chain, arm.nominal, arm.posture, cell.gains, cell.K2, arm.measurement)
+    bandwidth = arm.momentum_bandwidth if loop.structure.observed else None
+    return Controller(loop.chain, arm.nominal, arm.posture, cell.gains, cell.K2, arm.measurement, bandwidth)
 
 
-def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: Ops) -> tuple[ArmCarry, ArmSample]:
+def advance(
+    loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: Ops, push: Vector = ZERO
+) -> tuple[ArmCarry, ArmSample]:
     """One sample of the closed loop.
 
     Args:
@@ -123,17 +146,20 @@ def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: Op
         carry: State.
         now: What is met at this sample.
         ops: Scalar functions.
+        push: See `force_control.step` [m/s²].
     """
     chain, structure = loop.chain, loop.structure
     tissue = cell.robot.tissue
     met = cell.robot._replace(tissue=tissue._replace(stiffness=tissue.stiffness * now.softening))
-    force, q, tip, state = robot.sense(chain, structure, met, carry.robot, now.heart, now.noise, ops)
-    controller, command = force_control.step(controller_of(loop, cell), carry.controller, q, force, now.force_ref, ops)
-    passed, clamped = torque_limits.limit(met.limits, command.torque.torque, state.pending[0], ops)
+    force, true, q, tip, state = robot.sense(chain, structure, met, carry.robot, now.heart, now.noise, ops)
+    law = controller_of(loop, cell)
+    controller, command = force_control.step(law, carry.controller, q, force, now.force_ref, ops, push)
+    wanted = command.torque.torque
+    passed, clamped = torque_limits.limit(met.limits, wanted, state.pending[0], ops)
     controller = force_control.applied(controller, command, passed)
     sent = drive.send(met.drive, passed, ops)
     following = robot.move(chain, structure, met, state, sent, now.between, loop.accelerate, ops)
-    gain = 1.0 + 0.0 * cell.K2 if controller.guard is None else controller.guard.gain
+    gain = 1.0 + 0.0 * cell.K2 if controller.guard is None else controller.guard.memory.gain
     sample = ArmSample(
         force,
         now.force_ref,
@@ -146,14 +172,30 @@ def advance(loop: ArmLoop, cell: Cell, carry: ArmCarry, now: ArmSignals, ops: Op
         sent,
         (gain,),
         (clamped,),
+        true,
+        wanted,
+        *_known(cell.gains, controller.axes, 0.0 * cell.K2, ops),
     )
-    return ArmCarry(controller, following, command.a), sample
+    return ArmCarry(controller, following, command.a, wanted), sample
+
+
+def _known(gains: Gains, axes: Iterable[AxisState], none: Scalar, ops: Ops) -> tuple[Any, Any, Any]:
+    """Believed stiffness, authority of the schedule and its sine, per axis."""
+    if gains.schedule is None:
+        return (none,) * 3, (none,) * 3, (none,) * 3
+    constants = gains.schedule.identification
+    tissues = [axis.tissue for axis in axes if axis.tissue is not None]
+    return (
+        tuple(ops.exp(tissue.log_stiffness) for tissue in tissues),
+        tuple(tissue.authority for tissue in tissues),
+        tuple(identification.dither(constants, tissue) for tissue in tissues),
+    )
 
 
 def untroubled(like: Scalar) -> Trouble:
     """Nothing has happened yet; in the form of a finite number or batch."""
     never = 0.0 * like + inf
-    return Trouble(never, never, never)
+    return Trouble(never, never, never, never)
 
 
 def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, force_limit: Scalar, ops: Ops) -> Trouble:
@@ -170,6 +212,7 @@ def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, force_limit: S
         ops.minimum(trouble.diverged, ops.where(largest < HIGHEST_FORCE, inf, now.time)),
         ops.minimum(trouble.over_limit, over),
         ops.minimum(trouble.lost_contact, ops.where(indented < 0.0, lost, inf)),
+        ops.minimum(trouble.backed_off, ops.where(sample.gain[0] < AT_REST, now.time, inf)),
     )
 
 

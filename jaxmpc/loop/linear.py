@@ -2,9 +2,10 @@
 
 from typing import Any, NamedTuple
 
-from jaxmpc.law import cascade
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law import cascade, schedule
+from jaxmpc.law.gains import Gains
 from jaxmpc.law.ops import Ops
+from jaxmpc.law.scalar import plus
 from jaxmpc.world import contact
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.quantise import quantise
@@ -30,6 +31,8 @@ class AxisSignals(NamedTuple):
     """Whether the sample counts."""
     acceleration: Scalar | None = None
     """Acceleration of the tip by what else acts on it, such as friction [m/s²]; None costs nothing."""
+    late: Any = None
+    """Whether the sample is of the end of the run, where swinging is judged; None costs nothing and judges none."""
 
 
 class Sample(NamedTuple):
@@ -49,6 +52,8 @@ class Sample(NamedTuple):
     """Estimated disturbance [m/s²]."""
     tip: Scalar
     """Tip position [m]."""
+    true_force: Scalar
+    """Force on the tissue itself [N]."""
 
 
 class LinearCarry(NamedTuple):
@@ -79,8 +84,11 @@ def advance(
     """
     clean, state = contact.sense(world, carry.contact, now.heart)
     force = quantise(clean + now.noise, lsb, ops)
-    controller, v = cascade.step(gains, carry.controller, force, now.force_ref)
-    tip = state.x
-    state, a = contact.move(world, state, v, now.acceleration)
-    sample = Sample(force, now.force_ref, controller.u, v, a, controller.p_hat, tip)
+    tip, true = state.x, contact.true_force(world, carry.contact, now.heart)
+    controller, dither, _ = schedule.listen(gains, carry.controller, force, tip, now.force_ref[0], 0.0, ops)
+    known, K2 = schedule.now(gains, world.K2, controller, ops)
+    controller, v = cascade.step(known, controller, force, tuple(plus(wanted, dither) for wanted in now.force_ref))
+    controller = schedule.damped(controller, K2 * state.velocity)
+    state, a = contact.move(world._replace(K2=K2), state, v, now.acceleration)
+    sample = Sample(force, now.force_ref, controller.u, v, a, controller.p_hat, tip, true)
     return LinearCarry(controller, state), sample

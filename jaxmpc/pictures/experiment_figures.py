@@ -134,33 +134,3 @@ def spectrum_figure(path: Path, experiment: Experiment, outcome: "Outcome", stil
         )
         panel.legend(loc="upper right")
     return found
-
-
-def before_after_figure(path: Path, experiment: Experiment, outcome: "Outcome", seconds: float = 8.0) -> None:
-    """Residual on Z over time of two controllers, one panel per stiffness.
-
-    Args:
-        path: Where it goes.
-        experiment: What was run.
-        outcome: A batch of two, before and after, with trace.
-        seconds: How much of the run's end is shown [s].
-    """
-    assert outcome.trace is not None
-    force, wanted = np.asarray(outcome.trace.force), np.asarray(outcome.trace.force_ref)[..., 0]
-    shown = slice(-round(seconds / experiment.sampling_time), None)
-    t = (np.arange(experiment.steps) * experiment.sampling_time)[shown]
-    residual = (force - wanted)[:, :, 2, shown]
-    with figure(path, rows=len(experiment.stiffness), size=(8.0, 1.7 * len(experiment.stiffness) + 0.6)) as axes:
-        panels = np.atleast_1d(axes)
-        for row, panel in enumerate(panels):
-            for which, (label, colour) in enumerate((("paper's text design", BASELINE), ("autotuned", TUNED))):
-                rms, M_s = outcome.metrics.rms[which, row, 2], outcome.margins.M_s[which, row]
-                text = f"{label}: RMS {1e3 * rms:.0f} mN, $M_s$ {M_s:.2f}"
-                panel.plot(t, 1e3 * residual[which, row], color=colour, lw=0.7, label=text)
-            panel.set_ylim(*(1.45e3 * np.abs(residual).max() * np.array([-1.0, 1.0])))
-            panel.set_ylabel(f"{experiment.stiffness[row]:g} N/m\nresidual Z [mN]")
-            panel.legend(ncols=2, loc="upper right")
-        limited = any(experiment.arm.joint_torque_limit + experiment.arm.torque_step_limit)
-        title = "Force left over on a beating heart, on unseen motion"
-        panels[0].set_title(title if limited else f"{title}, without the robot's limits")
-        panels[-1].set_xlabel("time [s]")

@@ -17,10 +17,10 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.spectra.residual import Responses, root_mean_square
 from jaxmpc.spectra.spectrum import Spectrum
-from jaxmpc.stability.response import closed_loop
+from jaxmpc.stability.response import ClosedLoop, closed_loop
 from jaxmpc.world.contact import Contact
 
 
@@ -45,7 +45,11 @@ def effort_responses(gains: Gains, contact: Contact, theta: Any) -> Responses:
         contact: One world.
         theta: Angles θ = ω T_s [rad].
     """
-    loop = closed_loop(gains, contact, theta)
+    return acceleration_responses(closed_loop(gains, contact, theta))
+
+
+def acceleration_responses(loop: ClosedLoop) -> Responses:
+    """What is asked of the robot, by any closed loop; units as for `effort_responses`."""
     noise = loop.controller / loop.whole
     return Responses(-loop.force * noise, loop.early * (loop.force * loop.x * noise - loop.damping / loop.whole), noise)
 

@@ -54,8 +54,9 @@ class _Posture(NamedTuple):
 def uncompensated_acceleration(experiment: Experiment) -> Float[np.ndarray, "steps 3"]:
     """Disturbance acceleration w at the command of each axis while the tip follows the heart [m/s²].
 
-    It comes from the settings of `experiment.arm`, whatever the physics. Left out are the cable mode, the rounding of
-    encoders and torques, and what the tip's own motion against the heart does to the friction: reversals come out too
+    It comes from the settings of `experiment.arm`, whatever the physics. Left out are the observer of the joints'
+    momentum (`arm.momentum_observer`: the friction is then that without it), the cable mode, the rounding of encoders
+    and torques, and what the tip's own motion against the heart does to the friction: reversals come out too
     sharp, by a fifth of the residual for a loop with M_s = 4.5.
 
     Args:

@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.spectra.spectrum import Spectrum
-from jaxmpc.stability.response import Response, closed_loop
+from jaxmpc.stability.response import ClosedLoop, Response, closed_loop
 from jaxmpc.world.contact import Contact
 
 LOWEST, BEND, POINTS = 1e-3, 0.2, 96
@@ -60,7 +60,11 @@ class Parts(NamedTuple):
 
 def responses(gains: Gains, contact: Contact, theta: Any) -> Responses:
     """How the closed loop answers at angles θ = ω T_s [rad]; traceable, differentiable."""
-    loop = closed_loop(gains, contact, theta)
+    return force_responses(closed_loop(gains, contact, theta))
+
+
+def force_responses(loop: ClosedLoop) -> Responses:
+    """What is measured of the force, of any closed loop."""
     noise = (1.0 + loop.damping) / loop.whole
     return Responses(-noise * loop.force, loop.force * loop.x * loop.early / loop.whole, noise)
 
@@ -96,7 +100,7 @@ def _answers(of: Answer, gains: Gains, contact: Contact, spectrum: Spectrum) -> 
     """Responses at the lines, and the variance that the noise leaves."""
     sound = jnp.all(jnp.array([jnp.all(jnp.abs(gain) < HIGHEST_GAIN) for gain in jax.tree.leaves(gains)]))
     gains = jax.tree.map(lambda gain: jnp.where(sound, gain, 0.0), gains)
-    theta, weights = _grid()
+    theta, weights = noise_grid()
     answer = of(gains, contact, jnp.concatenate([jnp.asarray(spectrum.theta), theta]))
     lines = len(spectrum.theta)
     passed = jnp.sum(weights * _squared(answer.noise[lines:]))
@@ -104,9 +108,9 @@ def _answers(of: Answer, gains: Gains, contact: Contact, spectrum: Spectrum) -> 
     return at_lines, passed * spectrum.noise**2
 
 
-def _grid() -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
-    """Angles from 0 to π and the weights of a mean over them, by trapezoids."""
-    theta = np.concatenate([np.geomspace(LOWEST, BEND, POINTS, endpoint=False), np.linspace(BEND, pi, POINTS)])
+def noise_grid(points: int = POINTS) -> tuple[Float[np.ndarray, " angles"], Float[np.ndarray, " angles"]]:
+    """Angles from 0 to π and the weights of a mean over them, by trapezoids; so many below the bend and above."""
+    theta = np.concatenate([np.geomspace(LOWEST, BEND, points, endpoint=False), np.linspace(BEND, pi, points)])
     steps = np.diff(theta, prepend=0.0)
     return theta, 0.5 * (steps + np.append(steps[1:], 0.0)) / pi
 

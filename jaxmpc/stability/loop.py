@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmpc.law import cascade
-from jaxmpc.law.cascade import AxisState, Gains
+from jaxmpc.law.cascade import AxisState
+from jaxmpc.law.gains import Gains
 from jaxmpc.synthesis.plant import hold_integrals
 from jaxmpc.world.contact import Contact, ContactState, init, move, sense
 from jaxmpc.world.loop_path import LoopPath
@@ -57,7 +58,7 @@ def closed_loop_matrix(gains: Gains, contact: Contact) -> Float[Array, "n n"]:
         contact: One world; heart, noise and reference are zero.
     """
     zero = jnp.zeros_like(gains.mpc_u)
-    gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
+    gains = gains._replace(mpc_ref=gains.mpc_ref[:1], schedule=None)
 
     def advance(controller: AxisState, state: ContactState) -> tuple[AxisState, ContactState]:
         force, state = sense(contact, state, zero)

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Complex
 
-from jaxmpc.law.cascade import Gains
 from jaxmpc.law.force_filter import ForceFilter
+from jaxmpc.law.gains import Gains
 from jaxmpc.synthesis.plant import hold_integrals
 from jaxmpc.world.contact import Contact
 
@@ -99,9 +99,13 @@ class ClosedLoop(NamedTuple):
 
 def closed_loop(gains: Gains, contact: Contact, theta: Any) -> ClosedLoop:
     """Factors of the closed loop at angles θ = ω T_s [rad]; traceable, differentiable."""
-    q = jnp.exp(-1j * theta)
+    return closed_around(controller_response(gains, jnp.exp(-1j * theta)), contact, theta)
+
+
+def closed_around(controller: Any, contact: Contact, theta: Any) -> ClosedLoop:
+    """The same with any linear controller, given by its response C = V/Y at these angles [m/s²/N]."""
     x, xdot = tip_response(contact, theta)
-    controller, (force, damping) = controller_response(gains, q), filters(contact, q)
+    force, damping = filters(contact, jnp.exp(-1j * theta))
     early = jnp.exp(1j * theta * (1.0 + contact.extra_delay))
     whole = 1.0 + damping * xdot - force * x * controller
     return ClosedLoop(controller, force, damping * xdot, x, early, whole)
@@ -157,7 +161,8 @@ def loop_response(gains: Gains, contact: Contact, theta: Any, cut_at_a: Any, lat
     r"""Open-loop L(e^{jθ}) of the negative feedback 1 + L, cut at v or at a = v − K₂ẋ [-].
 
     With the force loop F and the damping loop D, and F₀, D₀ the same without the added delay, cutting
-    at a leaves L = F + D, cutting at v leaves L = F − F₀ D/(1 + D₀): the damping stays closed inside.
+    at a leaves L = F + D, cutting at v leaves L = F − F₀ D/(1 + D₀): the damping stays closed inside. The measured
+    force has one way to v and one back, so cutting there is cutting at v, whose margins hold for both.
 
     Args:
         gains: One controller.

@@ -1,13 +1,15 @@
 """The closed loop of the whole arm as a matrix, cable mode included, by differentiating one sample of the simulation.
 
-Margins see one axis with a rigid arm. Four joints that hang together, masses that are modelled wrong and a spring
-between motor and link are in no such loop, but in the derivative of one sample at rest. Left out is what has no slope:
-quantisers are off, and every joint slides, so that Coulomb friction is a constant and viscous friction stays. A guard
+Margins see one axis with a rigid arm. Four joints that hang together, masses that are modelled wrong, a spring between
+motor and link and an observer of the joints' momentum are in no such loop, but in the derivative of one sample at rest.
+Left out is what has no slope: quantisers are off, and every joint slides, so that Coulomb friction is a constant and
+viscous friction stays; or every joint sticks, and friction and what is cancelled of it are the springs F_c/z. There a
+model of it that is cancelled creeps apart from the arm's, which forgets within z/ε: slowly unstable. A guard
 of the gain has no slope at rest either: the loop is that of the full gain.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +19,9 @@ from jaxtyping import Array, Bool, Float
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.build import robot_on_its_tissue, structure_of
 from jaxmpc.files.errors import InputError
-from jaxmpc.law.cascade import Gains
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.force_filter import ForceFilter
+from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, advance, start
 from jaxmpc.stability.loop import transition_matrix
 from jaxmpc.synthesis import design_one
@@ -35,11 +37,33 @@ ROUNDING = 1e-9
 _NONE = (0.0, 0.0, 0.0, 0.0)
 
 
-def whole_arm_matrix(chain: Chain, kind: RobotStructure, robot: Robot, gains: Gains, K2: Any) -> Float[Array, "n n"]:
-    """Transition matrix of controller and arm together; traceable, and so for batches of robots and controllers.
+class System(NamedTuple):
+    """The loop from sample to sample, x⁺ = A x + B w, s = C x + D w, with what is added to it and what it shows.
+
+    The state is that of the controller, then that of the arm, raveled. w is added to a before the computed torque, and
+    the cascades do not know of it, then to the measured force: X, Y, Z each. s is v, a and the measured force.
+    """
+
+    A: Float[Array, "n n"]
+    B: Float[Array, "n 6"]
+    C: Float[Array, "9 n"]
+    D: Float[Array, "9 6"]
+
+
+def whole_arm_matrix(
+    chain: Chain, kind: RobotStructure, robot: Robot, gains: Gains, K2: Any, sticking: bool = False
+) -> Float[Array, "n n"]:
+    """Transition matrix of controller and arm together; as `whole_arm_system`, which has it."""
+    return whole_arm_system(chain, kind, robot, gains, K2, sticking).A
+
+
+def whole_arm_system(
+    chain: Chain, kind: RobotStructure, robot: Robot, gains: Gains, K2: Any, sticking: bool = False
+) -> System:
+    """Controller and arm together; traceable, and so for batches of robots and controllers.
 
     Linearised at rest in the posture, touching without force; a tissue is taken to be attached, and has the stiffness
-    that its law has there. The state is that of the controller, then that of the arm, raveled.
+    that its law has there.
 
     Args:
         chain: The arm.
@@ -47,19 +71,29 @@ def whole_arm_matrix(chain: Chain, kind: RobotStructure, robot: Robot, gains: Ga
         robot: Its constants, the tissue's stiffness among them.
         gains: One controller.
         K2: Its damping [1/s].
+        sticking: Whether the joints stick, else they slide.
     """
-    gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
+    gains = gains._replace(mpc_ref=gains.mpc_ref[:1], schedule=None)
     program = ArmLoop(chain, kind._replace(attached=True), accelerate)
-    cell = Cell(gains, jnp.asarray(K2, float), _smooth(robot))
+    cell = Cell(gains, jnp.asarray(K2, float), _smooth(robot, sticking))
     begin, quiet = start(program, cell, ops), _quiet(kind.substeps)
+    three = (jnp.zeros(()),) * 3
 
-    def one_sample(controller: Any, state: Any) -> tuple[Any, Any]:
-        after, _ = advance(program, cell, begin._replace(controller=controller, robot=state), quiet, ops)
-        # Bristles without force are no mode either.
-        bristles = friction.init(0.0 * after.robot.q[0])
-        return after.controller, after.robot._replace(bristles=bristles)
+    def one_sample(controller: Any, world: Any) -> tuple[Any, Any]:
+        state, (push, noise), _ = world
+        now = quiet._replace(noise=noise)
+        after, sample = advance(program, cell, begin._replace(controller=controller, robot=state), now, ops, push)
+        following = after.robot
+        if not sticking:  # bristles without force are no mode either
+            following = following._replace(bristles=friction.init(0.0 * following.q[0]))
+        # What is added and what is seen are states too: the one is gone, the other new at every sample.
+        return after.controller, (following, (three, three), (sample.v, sample.a, sample.force))
 
-    return transition_matrix(gains, one_sample, begin.controller, begin.robot)
+    world = begin.robot, (three, three), (three, three, three)
+    whole = transition_matrix(gains, one_sample, begin.controller, world)
+    added, seen = slice(-15, -9), slice(-9, None)
+    n = slice(None, -15)
+    return System(whole[n, n], whole[n, added], whole[seen, n], whole[seen, added])
 
 
 def radii(matrices: Float[np.ndarray, "*batch n n"]) -> Float[np.ndarray, "*batch"]:
@@ -117,14 +151,17 @@ def _matrices(
 _over_robots = JitOnce(_matrices, static_argnames=("kind",))
 
 
-def _smooth(robot: Robot) -> Robot:
-    """Without what has no slope: quantisers, and Coulomb friction, that of the arm and that which is cancelled."""
-    nominal = robot.nominal.friction._replace(coulomb=_NONE)
-    return robot._replace(
+def _smooth(robot: Robot, sticking: bool) -> Robot:
+    """Without what has no slope: quantisers and, while joints slide, Coulomb friction, true and cancelled."""
+    robot = robot._replace(
         drive=robot.drive._replace(angle_lsb=0.0, torque_lsb=0.0),
         sensor=robot.sensor._replace(lsb=(0.0, 0.0, 0.0)),
-        friction=robot.friction._replace(coulomb=_NONE),
-        nominal=robot.nominal._replace(friction=nominal),
+    )
+    if sticking:
+        return robot
+    nominal = robot.nominal.friction._replace(coulomb=_NONE)
+    return robot._replace(
+        friction=robot.friction._replace(coulomb=_NONE), nominal=robot.nominal._replace(friction=nominal)
     )
 
 

@@ -3,6 +3,7 @@
 The public function is `jaxmpc.design`; the package has another name so that importing it does not hide it.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,8 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmpc.law import gain_backoff
-from jaxmpc.law.cascade import Gains
 from jaxmpc.law.force_filter import ForceFilter
+from jaxmpc.law.gains import Gains, GainSchedule, Knot, with_gain
 from jaxmpc.quantities import HP_MAX, HU_MAX
 from jaxmpc.synthesis.feedback import state_feedback
 from jaxmpc.synthesis.kalman import active_observer_gain, input_noise_gain
@@ -34,6 +35,11 @@ def design_one(
         mask_width: Softness of the horizons, 1 is exact [samples].
         force_filter: What the measured force passes first; the design does not know of it.
     """
+    if params.listening is not None:
+        fixed = replace(params, knots=(), listening=None)
+        gains, residual = design_one(fixed, T_s, mask_width, force_filter)
+        family, missed = design_family(params, T_s, mask_width)
+        return gains._replace(schedule=family), jnp.maximum(residual, missed)
     p = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), params)
     lam, delta = jnp.broadcast_to(p.lam, (HU_MAX,)), jnp.broadcast_to(p.delta, (HP_MAX,))
     Phi, Gamma = contact_model(p.Khat_s, p.K2, T_s)
@@ -60,6 +66,34 @@ def design_one(
     A, B = closed_loop_model(p.T_cl, T_s)
     mpc_ref, mpc_x, mpc_u = first_move(A, B, lam, delta, p.Hp, p.Hu, mask_width)
     return Gains(phi, Gamma, K, L, L[0], mpc_ref, mpc_x, mpc_u, guard, force_filter), residual
+
+
+def design_family(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[GainSchedule, Float[Array, ""]]:
+    """Gains over the tissue's stiffness, and how badly the worst Riccati equation is missed; as `design_one`."""
+    assert params.listening is not None
+    stiffness = jnp.asarray(params.listening.stiffness, jnp.float64)
+    # One design over all knots compiles once.
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(_wide(knot) for knot in params.knots))
+    gains, residual = jax.vmap(lambda knot: design_one(knot, T_s, mask_width))(stacked)
+    unit = jax.vmap(_on_unit_tissue)(gains, stiffness)
+    knots = tuple(
+        Knot(jnp.log(stiffness[i]), stacked.K2[i], jax.tree.map(lambda leaf, i=i: leaf[i], unit))
+        for i in range(len(params.knots))
+    )
+    return GainSchedule(knots, params.listening.constants(T_s)), jnp.max(residual)
+
+
+def _wide(params: Params) -> Params:
+    """With diagonals for all weights, so that knots with and without are alike."""
+    lam, delta = jnp.broadcast_to(params.lam, (HU_MAX,)), jnp.broadcast_to(params.delta, (HP_MAX,))
+    leaves: Params = jax.tree.map(jnp.asarray, params)
+    return replace(leaves, lam=lam, delta=delta)
+
+
+def _on_unit_tissue(gains: Gains, stiffness: Any) -> Gains:
+    found = with_gain(gains, stiffness)
+    vectors: dict[str, Any] = {name: jnp.stack(getattr(found, name)) for name in ("gamma", "K", "L")}
+    return found._replace(**vectors)
 
 
 def over_batch(function: Any, batch_shape: tuple[int, ...]) -> Any:

@@ -14,10 +14,11 @@ from jaxtyping import Float, Shaped
 
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import HORIZONS, PARAMETERS
+from jaxmpc.synthesis.listening import Listening
 
 Architecture = Literal["mpc-aob", "aob", "mpc"]
 Order = Literal[1, 2, 3]
-STRUCTURE = ("architecture", "disturbance_order", "guarded")
+STRUCTURE = ("architecture", "disturbance_order", "guarded", "listening")
 """What of a controller is no number to be tuned but needs a program of its own."""
 Number = Float[jax.Array | np.ndarray, "..."]
 
@@ -73,6 +74,23 @@ _CAUTIOUS: Mapping[str, Any] = {
 ask for torque that no motor gives when a beating heart is met."""
 
 
+_KNOT: Mapping[str, Any] = {"K2": 0.02, "Hp": 17, "Hu": 7}
+_FAMILY: Mapping[str, Any] = {
+    **_CAUTIOUS,
+    "guarded": True,
+    "listening": {"stiffness": [375.0, 550.0, 810.0, 1250.0, 1900.0]},
+    "knots": [
+        {"Khat_s": 406.5, "T_cl": 0.00557, "Q_x": 0.00209, "Q_p": 7.71, "lam": 0.04219, **_KNOT},
+        {"Khat_s": 601.9, "T_cl": 0.004156, "Q_x": 0.002153, "Q_p": 6.096, "lam": 0.06388, **_KNOT},
+        {"Khat_s": 892.3, "T_cl": 0.003184, "Q_x": 0.00218, "Q_p": 4.781, "lam": 0.08558, **_KNOT},
+        {"Khat_s": 1385.0, "T_cl": 0.002418, "Q_x": 0.002233, "Q_p": 3.611, "lam": 0.1038, **_KNOT},
+        {"Khat_s": 2114.0, "T_cl": 0.001864, "Q_x": 0.002274, "Q_p": 2.718, "lam": 0.1159, **_KNOT},
+    ],
+}
+"""Each knot: least residual on the arm of Table I, from spectra, at a chatter of 1.16 m/s² and, within ±6 % of its
+stiffness, M_s ≤ 2, 6 and 4 dB, 30° and 1.5 ms. Contact begins with "cautious"."""
+
+
 class Params(eqx.Module):
     """Parameters of one controller; every leaf may have leading batch dimensions (see `stack`).
 
@@ -111,6 +129,11 @@ class Params(eqx.Module):
     guarded: bool = eqx.field(static=True, default=False)
     """Whether the gain falls while the force swings faster than a heart can (`law.gain_backoff`); on the arm alone."""
 
+    listening: Listening | None = eqx.field(static=True, default=None)
+    """At which stiffness the knots stand, and how it is found; None without knots."""
+    knots: tuple["Params", ...] = ()
+    """Controllers for tissue whose stiffness is known; these parameters themselves are for tissue where it is not."""
+
     def __check_init__(self) -> None:
         if self.architecture not in get_args(Architecture):
             known = list(get_args(Architecture))
@@ -128,9 +151,21 @@ class Params(eqx.Module):
         if self.guarded and self.architecture == "mpc":
             remedy = "MPC alone has no model of the tissue to scale: leave it out."
             raise InputError("guarded", self.guarded, 'false with the architecture "mpc"', remedy)
+        self._check_knots()
         values = {name: getattr(self, name) for name in PARAMETERS}
         if all(isinstance(value, np.ndarray) for value in values.values()):
             check_values(values)
+
+    def _check_knots(self) -> None:
+        places = () if self.listening is None else self.listening.stiffness
+        if len(places) != len(self.knots):
+            remedy = "Give [params.listening] a stiffness for every [[params.knots]]."
+            raise InputError("knots", f"{len(self.knots)} of them", f"as many as stiffnesses, {len(places)}", remedy)
+        for knot in self.knots:
+            same = (knot.architecture, knot.disturbance_order) == (self.architecture, self.disturbance_order)
+            if knot.knots or knot.guarded or not same:
+                remedy = "Leave architecture, disturbance_order and guarded to the table above it."
+                raise InputError("knots", "of another structure", "of the structure of [params]", remedy)
 
     @property
     def structure(self) -> dict[str, Any]:
@@ -151,6 +186,7 @@ class Params(eqx.Module):
                 (K̂_s = 500 N/m, the one to which its printed gains belong), or "mpc-alone": the architecture "mpc",
                 tuned by `jaxmpc tune` to the text design's M_s as it runs, for comparison; the paper prints none.
                 "cautious" keeps M_s below 2 from 375 to 1900 N/m, at twice the residual: a first one for a robot.
+                "family" begins as that, finds the tissue's stiffness and goes over to gains for it.
 
         Raises:
             InputError: The name is not one of these.
@@ -160,6 +196,7 @@ class Params(eqx.Module):
             "printed": {"Khat_s": 500.0},
             "mpc-alone": _MPC_ALONE,
             "cautious": _CAUTIOUS,
+            "family": _FAMILY,
         }
         if name not in known:
             raise InputError("published parameters", name, "a known name", nearest(name, list(known)))
@@ -174,12 +211,16 @@ class Params(eqx.Module):
         Raises:
             InputError: An unknown name, a wrong type, or a value out of bounds.
         """
-        known = [*PARAMETERS, *STRUCTURE]
+        known = [*PARAMETERS, *STRUCTURE, "knots"]
         given: dict[str, Any] = {}
         for name, value in values.items():
             if name not in known:
                 raise InputError(name, value, "a known parameter", nearest(name, known))
-            given[name] = value if name in STRUCTURE else _from_plain(name, value)
+            given[name] = _from_plain(name, value) if name in PARAMETERS else value
+        shared: dict[str, Any] = {name: given[name] for name in ("architecture", "disturbance_order") if name in given}
+        given["knots"] = tuple(Params.from_dict({**shared, **knot}) for knot in tables("knots", given.get("knots", ())))
+        if isinstance(listening := given.get("listening"), Mapping):
+            given["listening"] = Listening.from_dict(listening)
         return Params(**given)
 
     @staticmethod
@@ -205,7 +246,13 @@ class Params(eqx.Module):
             raise InputError("params", f"a batch {self.batch_shape}", "one controller", "Take one with `params[i]`.")
         values = {name: np.asarray(getattr(self, name)).tolist() for name in PARAMETERS}
         whole = {name: int(values[name]) for name in HORIZONS if values[name] == int(values[name])}
-        return {**self.structure, **values, **whole}
+        found = {**self.structure, **values, **whole}
+        if self.listening is None:
+            return {name: value for name, value in found.items() if name != "listening"}
+        knots = [
+            {name: value for name, value in knot.to_dict().items() if name not in STRUCTURE} for knot in self.knots
+        ]
+        return {**found, "listening": self.listening.to_dict(), "knots": knots}
 
     @staticmethod
     def stack(batch: Sequence["Params"]) -> "Params":
@@ -226,7 +273,8 @@ class Params(eqx.Module):
             shape = np.broadcast_shapes(*(leaf.shape for leaf in leaves))
             xp: Any = jnp if traced else np
             columns[name] = xp.stack([xp.broadcast_to(leaf, shape) for leaf in leaves])
-        return Params(**columns, **batch[0].structure)
+        knots = tuple(Params.stack(alike) for alike in zip(*(p.knots for p in batch), strict=True))
+        return Params(**columns, knots=knots, **batch[0].structure)
 
     def with_columns(self, columns: Mapping[str, Any]) -> "Params":
         """A batch of this one controller with some parameters replaced by columns of the same length.
@@ -241,12 +289,26 @@ class Params(eqx.Module):
         base = {name: getattr(self, name) for name in PARAMETERS}
         wide: dict[str, Any] = {name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in base.items()}
         given = {name: np.asarray(value, np.float64) for name, value in columns.items()}
-        return Params(**{**wide, **given}, **self.structure)
+        knots = tuple(
+            knot.with_columns({"lam": np.broadcast_to(knot.lam, (rows, *knot.lam.shape))}) for knot in self.knots
+        )
+        return Params(**{**wide, **given}, knots=knots, **self.structure)
 
     def __getitem__(self, row: int | slice) -> "Params":
         """One controller, or a slice, of a batch."""
         rows: Params = jax.tree.map(lambda leaf: leaf[row], self)
         return rows
+
+
+def tables(name: str, value: Any) -> Sequence[Mapping[str, Any]]:
+    """Tables of a file.
+
+    Raises:
+        InputError: It is something else.
+    """
+    if isinstance(value, Sequence) and all(isinstance(each, Mapping) for each in value):
+        return value
+    raise InputError(name, value, "tables", f"Write each as [[params.{name}]].")
 
 
 def _from_plain(name: str, value: Any) -> np.ndarray:
@@ -292,5 +354,5 @@ def by_structure(controllers: Sequence[Params]) -> list[list[int]]:
     """Which controllers can be a batch, as their numbers."""
     alike: dict[str, list[int]] = {}
     for i, params in enumerate(controllers):
-        alike.setdefault(repr(params.structure), []).append(i)
+        alike.setdefault(repr((params.structure, len(params.knots))), []).append(i)
     return list(alike.values())

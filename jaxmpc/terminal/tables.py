@@ -25,7 +25,8 @@ def show(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> No
         table.add_row(*row)
     # Piped output has no width of its own; cutting columns to 80 would lose numbers.
     console = Console()
-    Console(width=console.width if console.is_terminal else 140, highlight=False).print(table)
+    # Units stand in brackets, which rich would take for its own marks.
+    Console(width=console.width if console.is_terminal else 140, highlight=False, markup=False).print(table)
 
 
 def number(value: Any, digits: int = 3) -> str:
@@ -37,16 +38,21 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def residual_rows(label: str, outcome: "Outcome", experiment: "Experiment") -> list[list[str]]:
-    """One row per stiffness: residual per axis, margins and status."""
+    """Two rows per stiffness: measured residual per axis, margins and status; below it the true residual."""
     from jaxmpc.status import Status
 
-    rows = []
+    found, rows = outcome.metrics, []
     for i, stiffness in enumerate(experiment.stiffness):
-        pairs = zip(outcome.metrics.peak_to_peak[i], outcome.metrics.rms[i], strict=True)
-        residuals = [f"{number(pp, 2)} / {number(rms)}" for pp, rms in pairs]
         margins = [row.entry(getattr(outcome.margins, name)[i]) for name, row in MARGINS.items()]
-        rows.append([label, f"{stiffness:g}", *residuals, *margins, Status(int(outcome.status[i])).name])
+        status = Status(int(outcome.status[i])).name
+        rows.append([label, f"{stiffness:g}", *_residuals(found.peak_to_peak[i], found.rms[i]), *margins, status])
+        true = _residuals(found.true_peak_to_peak[i], found.true_rms[i])
+        rows.append(["  true force", f"{stiffness:g}", *true, *([""] * (len(margins) + 1))])
     return rows
+
+
+def _residuals(spans: Any, rms: Any) -> list[str]:
+    return [f"{number(pp, 2)} / {number(root)}" for pp, root in zip(spans, rms, strict=True)]
 
 
 RESIDUAL_HEADER = (

@@ -64,6 +64,11 @@ def hertz(frequency: float) -> float:
     return 2.0 * pi * frequency
 
 
+def true_force(contact: Contact, state: ContactState, heart: Scalar) -> Scalar:
+    """Force on the tissue at a sample [N]; arguments as for `sense`."""
+    return contact.stiffness * (state.x - heart)
+
+
 def sense(contact: Contact, state: ContactState, heart: Scalar) -> tuple[Scalar, ContactState]:
     """Force before noise and quantisation [N], with the filters moved on by one sample.
 
@@ -72,8 +77,8 @@ def sense(contact: Contact, state: ContactState, heart: Scalar) -> tuple[Scalar,
         state: State at the sample.
         heart: Position of the heart's surface [m].
     """
-    true_force = contact.stiffness * (state.x - heart)
-    force = true_force + contact.sensor_pole * (state.force - true_force)
+    true = true_force(contact, state, heart)
+    force = true + contact.sensor_pole * (state.force - true)
     velocity = state.xdot + contact.velocity_pole * (state.velocity - state.xdot)
     return force, state._replace(force=force, velocity=velocity)
 

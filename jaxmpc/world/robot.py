@@ -56,7 +56,9 @@ class RobotStructure(NamedTuple):
     integrator: str = "leapfrog"
     substeps: int = 1
     compensated: bool = False
-    """Whether the controller cancels friction."""
+    """Whether the controller cancels friction from a model of it."""
+    observed: bool = False
+    """Whether it cancels what disturbs the joints' momentum."""
 
 
 class Cable(NamedTuple):
@@ -85,6 +87,8 @@ class Robot(NamedTuple):
     sensor: SensorModel
     tissue: Tissue
     nominal: Nominal
+    momentum_bandwidth: Scalar
+    """Bandwidth of the controller's observer of the joints' momentum, where there is one [rad/s]."""
     posture: Vector
     """Joint angles at the start and of the null space [rad]."""
     touch: Vector
@@ -171,7 +175,7 @@ def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Op
 
 def sense(
     chain: Chain, kind: RobotStructure, robot: Robot, state: RobotState, heart: HeartSample, noise: Vector, ops: Ops
-) -> tuple[Vector, Vector, Vector, RobotState]:
+) -> tuple[Vector, Vector, Vector, Vector, RobotState]:
     """What the controller reads at a sample.
 
     Args:
@@ -184,8 +188,8 @@ def sense(
         ops: Scalar functions.
 
     Returns:
-        Measured force on the tissue [N], joint angles that the encoders read [rad], tip displacement from where it
-        touched [m], and the state with the sensor's filter moved on.
+        Measured force on the tissue [N], the true one [N], joint angles that the encoders read [rad], tip displacement
+        from where it touched [m], and the state with the sensor's filter moved on.
     """
     at_tip = chain_tip(chain, pose(chain, state.q, ops))
     tip, velocity = sub(at_tip.position, robot.touch), apply(at_tip.jacobian, state.qd)
@@ -199,7 +203,7 @@ def sense(
         ops,
     )
     measured, moved_on = sensor.read(robot.sensor, state.sensor, true, velocity, noise, robot.measurement.T_s, ops)
-    return measured, encoders(kind, robot, state, ops), tip, state._replace(sensor=moved_on)
+    return measured, true, encoders(kind, robot, state, ops), tip, state._replace(sensor=moved_on)
 
 
 def encoders(kind: RobotStructure, robot: Robot, state: RobotState, ops: Ops) -> Vector:

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-exp, sqrt, where = jnp.exp, jnp.sqrt, jnp.where
+exp, log, sqrt, where = jnp.exp, jnp.log, jnp.sqrt, jnp.where
 maximum, minimum = jnp.maximum, jnp.minimum
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxmpc.law import cascade
+from jaxmpc.law.gains import constant_reference
 from tests.deploy import made
 from tests.deploy.made import K2, LOOP, T_S, margin_row, text_gains
 
@@ -27,7 +28,7 @@ def trace(gains, n, preview, seed=1):
     force = np.array([[draw.gauss(-5.0, 1.0) for _ in range(3)] for _ in range(n)])
     width = len(gains.mpc_ref) if preview else 1
     force_ref = np.array([[[draw.gauss(-5.0, 1.0) for _ in range(width)] for _ in range(3)] for _ in range(n)])
-    law_gains = gains if preview else cascade.constant_reference(gains)
+    law_gains = gains if preview else constant_reference(gains)
     v = run_law(law_gains, force, force_ref.tolist())
     return force, force_ref if preview else force_ref[..., 0], v
 

@@ -14,11 +14,13 @@ from deploy.controller.arm_model import ROBOT, ArmModel, published_tip
 from deploy.controller.artifact import Artifact
 from deploy.controller.judged_loop import JudgedLoop
 from deploy.controller.limits import Limits
-from jaxmpc.law import cascade, entry, force_control, gain_backoff
+from jaxmpc.law import entry, force_control, gain_backoff
 from jaxmpc.law.chain import Chain, Link
 from jaxmpc.law.computed_torque import Nominal
 from jaxmpc.law.force_control import Controller
 from jaxmpc.law.friction_compensation import NominalFriction
+from jaxmpc.law.gains import Gains, GainSchedule, Knot, constant_reference, with_gain
+from jaxmpc.law.identification import StiffnessIdentification
 from jaxmpc.law.measurement import Measurement
 from jaxmpc.law.ops import FLOATS
 
@@ -61,13 +63,13 @@ TURN: Any = (
 """Each joint's frame in its parent's, with z along the axis."""
 
 
-def text_gains() -> cascade.Gains:
+def text_gains() -> Gains:
     decay = (1.0 - math.exp(-K2 * T_S)) / K2
     # 30 weights that differ, so that a wrong order of the preview shows, and 34 beyond the horizon
     shape = [1.0 + 0.1 * i for i in range(30)]
     mpc_ref = [1.98311185836792 * w / sum(shape) for w in shape] + [0.0] * 34
     L = (89.72993333, 0.66057566, 0.55698721)
-    return cascade.Gains(
+    return Gains(
         phi=(0.000995016625083195, 0.9900498337491681),
         gamma=(K_HAT * (T_S - decay) / K2, K_HAT * decay),
         K=(0.14991379, 12.16723884, 0.6519533, 0.6519533),
@@ -79,8 +81,31 @@ def text_gains() -> cascade.Gains:
     )
 
 
-def guarded_gains() -> cascade.Gains:
+def guarded_gains() -> Gains:
     return text_gains()._replace(guard=gain_backoff.constants(T_S, FLOATS))
+
+
+def scheduled_gains() -> Gains:
+    """A family whose identification takes whatever it hears for known: K̂ and the authority move within a second."""
+    knots = []
+    for stiffness, more in ((50.0, 1.0), (150.0, 1.2)):
+        own = text_gains()._replace(mpc_u=0.58276126 / more)
+        knots.append(Knot(math.log(stiffness), K2 * more, with_gain(own, K_HAT)))
+    angle = 2.0 * math.pi * 17.0 * T_S
+    identification = StiffnessIdentification(
+        T_s=T_S,
+        amplitude=0.3,
+        turn=(math.cos(angle), math.sin(angle)),
+        mixing=0.05,
+        averaging=0.02,
+        confidence=1e-6,
+        band=0.08,
+        least=math.log(40.0),
+        most=math.log(200.0),
+        prediction=(0.6, 120.0, 1e4),
+        watching=1e-3,
+    )
+    return text_gains()._replace(schedule=GainSchedule(tuple(knots), identification))
 
 
 def margin_row(stiffness: float, **changes: Any) -> dict[str, Any]:
@@ -188,6 +213,7 @@ def arm_arguments(n: int = 40, preview: bool = False, compensated: bool = False,
         "tool_length": TOOL,
         "nominal": nominal(compensated),
         "compensated": compensated,
+        "momentum_observer": 0.0,
         "posture": POSTURE,
         "encoder_counts": 4096,
         "limits": Limits.default(published_tip(POSTURE, TOOL).tolist()),
@@ -195,9 +221,10 @@ def arm_arguments(n: int = 40, preview: bool = False, compensated: bool = False,
     arm |= changes
     width = len(gains.mpc_ref) if preview else 1
     inputs = recorded_inputs(n, width=width, swing=SWING if gains.guard else 0.0)
-    law = gains if preview else cascade.constant_reference(gains)
+    law = gains if preview else constant_reference(gains)
     measurement = Measurement(T_S, math.exp(-VELOCITY_CUTOFF * T_S))
-    controller = Controller(arm["chain"], arm["nominal"], arm["posture"], law, K2, measurement)
+    bandwidth = arm["momentum_observer"] or None
+    controller = Controller(arm["chain"], arm["nominal"], arm["posture"], law, K2, measurement, bandwidth)
     v, torque, applied = on_floats(controller, arm["compensated"], inputs)
     wanted = np.array(inputs[2])
     arm |= {"golden_q": np.array(inputs[0]), "golden_applied": applied, "golden_torque": torque}
@@ -215,6 +242,7 @@ def arm_arguments(n: int = 40, preview: bool = False, compensated: bool = False,
         "golden_force_ref": wanted if preview else wanted[..., 0],
         "golden_v": v,
         "arm": arm,
+        "family": None if gains.schedule is None else {"band": 0.08, "rows": [margin_row(810.0)]},
     }
 
 

@@ -43,9 +43,9 @@ def refused(opened, message, path=None, value=None, **arrays):
 
 @pytest.mark.parametrize("gains", [made.text_gains(), made.guarded_gains()], ids=["text", "guarded"])
 @pytest.mark.parametrize("preview", [False, True])
-@pytest.mark.parametrize("compensated", [False, True])
-def test_round_trip(preview, compensated, gains):
-    artifact = made.arm_artifact(6, preview, compensated, gains=gains)
+@pytest.mark.parametrize("cancelling", [{}, {"compensated": True}, {"momentum_observer": 60.0}])
+def test_round_trip(preview, cancelling, gains):
+    artifact = made.arm_artifact(6, preview, gains=gains, **cancelling)
     content = to_bytes(artifact)
     again = from_bytes(content)
     assert to_bytes(again) == content
@@ -53,7 +53,18 @@ def test_round_trip(preview, compensated, gains):
     assert again.gains == artifact.gains == gains
     # Files of controllers without a guard are those of before there was one.
     assert ("guard" in unseal(content)[0]["gains"]) == (gains.guard is not None)
-    for name in ("chain", "nominal", "compensated", "posture", "limits", "robot", "tool_length", "encoder_counts"):
+    assert ("momentum_observer" in unseal(content)[0]["arm"]) == ("momentum_observer" in cancelling)
+    for name in (
+        "chain",
+        "nominal",
+        "compensated",
+        "momentum_observer",
+        "posture",
+        "limits",
+        "robot",
+        "tool_length",
+        "encoder_counts",
+    ):
         assert getattr(again.arm, name) == getattr(artifact.arm, name)
     assert all(type(x) is float for x in (*again.arm.posture, *again.arm.chain.tip, again.arm.chain.links[3].mass))
 
@@ -110,6 +121,7 @@ def test_a_model_without_a_table_is_refused(opened):
         ("arm.robot", "Barrett WAM 7-DoF", "arm.robot = Barrett WAM 7-DoF: must be 'Barrett WAM 4-DoF'. Freeze a"),
         ("arm.robot", None, "arm.robot = None: must be"),
         ("arm.compensated", 1, "arm.compensated = 1: must be true or false"),
+        ("arm.momentum_observer", 101.0, r"arm.momentum_observer = 101.0: must be in \[0, 100\]"),
         ("arm.encoder_counts", 4096.5, "arm.encoder_counts = 4096.5: must be a whole number"),
         ("arm.encoder_counts", -1, "arm.encoder_counts = -1: must be a whole number"),
         ("loop.velocity_cutoff", "fast", "loop.velocity_cutoff = fast: must be a number"),
@@ -155,13 +167,13 @@ def test_each_wrong_entry_has_its_sentence(opened, path, value, message):
 @pytest.fixture(scope="module")
 def guarded():
     """Header and arrays of a controller whose force swings."""
-    return unseal(to_bytes(made.arm_artifact(150, gains=made.guarded_gains())))
+    return unseal(to_bytes(made.arm_artifact(512, gains=made.guarded_gains())))
 
 
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("", [0.9], r"guard = \[0.9\]: must be a table of corner, forgetting, sensitivity, pace, recovery"),
+        ("", [0.9], r"guard = \[0.9\]: must be a table of corner, forgetting, sensitivity, attention, "),
         (".pace", ..., "guard.pace = missing: must be given"),
         (".gain", 1.0, "guard.gain = 1.0: must be a known key"),
         (".corner", 1.0, r"guard.corner = 1.0: must be in \[0, 1\)"),
@@ -282,3 +294,9 @@ def test_a_law_that_cannot_be_computed_is_a_refusal(opened):
     straight = opened[1]["golden_q"].copy()
     straight[-1] = 0.0
     refused(opened, "its law cannot be computed: float division by zero", golden_q=straight)
+
+
+def test_friction_is_cancelled_by_a_model_or_by_an_observer():
+    arguments = made.arm_arguments(6, compensated=True)
+    with pytest.raises(InputError, match=r"arm\.momentum_observer = 60\.0: must be 0 beside arm\.compensated"):
+        arm_model.ArmModel(**arguments["arm"] | {"momentum_observer": 60.0})

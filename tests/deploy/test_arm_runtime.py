@@ -13,6 +13,7 @@ from deploy.controller.golden import replay
 from deploy.controller.runtimes import arm_runtime, flown_controller
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import cascade, chain, force_control
+from jaxmpc.law.gains import constant_reference
 from jaxmpc.law.ops import FLOATS
 from tests.deploy import made
 
@@ -51,6 +52,14 @@ def test_the_recorded_tick_is_the_law_on_floats_to_the_last_bit(preview, compens
     artifact = made.arm_artifact(300, preview, compensated, gains=gains._replace(K=(*gains.K, *more)))
     assert replay(artifact) == (0.0, 0.0)
     assert np.abs(artifact.arm.golden_applied - artifact.arm.golden_torque).max() > 0.1
+
+
+def test_the_recorded_tick_with_the_momentum_observed_is_the_law_to_the_last_bit():
+    observed, plain = made.arm_artifact(300, momentum_observer=60.0), made.arm_artifact(300)
+    assert replay(observed) == (0.0, 0.0)
+    # The cascades see the same force: what is cancelled is in the torques alone, and rounds the change that a cut is.
+    assert np.abs(observed.arm.golden_torque - plain.arm.golden_torque).max() > 1.0
+    np.testing.assert_allclose(observed.golden_v, plain.golden_v, rtol=0, atol=1e-9)
 
 
 def test_a_second_start_forgets_the_first(runtime, inputs):
@@ -147,10 +156,10 @@ def test_servo_asks_the_same_torque_as_control_for_the_same_acceleration(runtime
     assert runtime.servo(q, qd, runtime.last_a, tuple(force)) == torque
 
 
-@pytest.mark.parametrize("compensated", [False, True])
-def test_entry_is_bumpless(compensated):
+@pytest.mark.parametrize("cancelling", [{}, {"compensated": True}, {"momentum_observer": 100.0}])
+def test_entry_is_bumpless(cancelling):
     """The tip moves while a servo pushes against friction; then the cascades take over without a step."""
-    runtime, pushing = arm_runtime(made.arm_artifact(compensated=compensated)), (0.5, -0.3, -2.0)
+    runtime, pushing = arm_runtime(made.arm_artifact(**cancelling)), (0.5, -0.3, -2.0)
     q = np.array(made.POSTURE)
     runtime.start(q)
     for _ in range(50):
@@ -160,7 +169,7 @@ def test_entry_is_bumpless(compensated):
     after = runtime.control(q.tolist(), runtime.velocity((q + 1e-4).tolist()), FORCE, FORCE)
     # The gains have eight digits, so r − m_x − m_u is not exactly 0, which 90 m/s²/N multiplies.
     np.testing.assert_allclose(runtime.last_a, pushing, atol=2e-3)
-    if not compensated:  # else the friction that is cancelled has gone on by one sample
+    if "compensated" not in cancelling:  # else the friction that is cancelled has gone on by one sample
         np.testing.assert_allclose(after, before, atol=5e-3)
     held = [runtime.control(q.tolist(), runtime.velocity(q.tolist()), FORCE, FORCE) for _ in range(5)]
     assert np.isfinite(held).all()
@@ -193,7 +202,7 @@ def test_a_lost_force_is_bridged_by_the_prediction(arm_artifact, inputs):
 
 def begun_state(artifact, inputs):
     """Cascade of X where `begun` leaves it: the law itself."""
-    gains = cascade.constant_reference(artifact.gains)
+    gains = constant_reference(artifact.gains)
     state = cascade.init(gains, inputs[0][1][0])
     for _, force, wanted in inputs[:10]:
         state, _ = cascade.step(gains, state, force[0], (wanted[0],))

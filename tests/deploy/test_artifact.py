@@ -12,7 +12,7 @@ from deploy.controller import file
 from deploy.controller.file import ArtifactError, from_bytes, load, to_bytes
 from deploy.controller.freeze import freeze
 from jaxmpc.files.sealed import LARGEST, canonical_json, seal, unseal
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.law.scalar import Constant, declared
 
 

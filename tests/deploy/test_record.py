@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.runtime.straightline import FUNCTIONS, OPS, compile_straightline
+from jaxmpc.law.ops import FLOATS
 
 
 class Pair(NamedTuple):
@@ -133,6 +134,17 @@ def test_functions_are_recorded_once_and_of_constants_computed():
     for x in (0.3, -2.0):
         expected = (math.sin(x) * math.cos(x), math.sin(x), math.sqrt(x * x + math.sqrt(2)), math.sin(0.5))
         assert recorded.function(x) == expected == turning(x)
+
+
+def test_functions_of_the_law_are_those_of_its_floats():
+    def bent(x, y):
+        return OPS.exp(x), OPS.log(OPS.maximum(y, 1e-3)), OPS.minimum(0.5, x), OPS.maximum(x, y), OPS.minimum(2.0, 1.0)
+
+    recorded = compile_straightline(bent, (0.0, 0.0))
+    assert recorded.operations == 5
+    for x, y in ((0.3, -2.0), (-1.0, 4.0), (700.0, 0.1), (1e4, 1e4)):
+        expected = (FLOATS.exp(x), math.log(max(y, 1e-3)), min(0.5, x), max(x, y), 1.0)
+        assert recorded.function(x, y) == expected == bent(x, y)
 
 
 def test_a_recording_reaches_nothing_else():

@@ -8,6 +8,7 @@ import pytest
 from deploy.controller.artifact import Artifact
 from deploy.controller.golden import replay
 from deploy.controller.runtimes import linear_runtime
+from jaxmpc.law.gains import constant_reference
 
 
 def make(arguments, **changes):
@@ -47,7 +48,7 @@ def test_axes_do_not_touch_one_another(arguments):
 def test_observer_uses_what_was_applied(arguments, law):
     from jaxmpc.law import cascade
 
-    gains, runtime = cascade.constant_reference(law.gains), linear_runtime(make(arguments))
+    gains, runtime = constant_reference(law.gains), linear_runtime(make(arguments))
     state = cascade.init(gains, -5.0)
     runtime.init((-5.0, -5.0, -5.0))
     for k in range(50):

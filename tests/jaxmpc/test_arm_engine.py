@@ -16,7 +16,8 @@ from jaxmpc.engine.registry import choose
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.evaluation import _run
 from jaxmpc.law import gain_backoff
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.world.heart.motion import displacement
 from sweeps.run import run as sweep
 from sweeps.spec import SweepSpec
@@ -123,8 +124,8 @@ def test_a_run_tells_the_gain_that_its_guard_leaves() -> None:
     for errors, told in zip(error, gain, strict=True):
         state, expected = gain_backoff.init(), []
         for sample in errors.T.tolist():
-            state = gain_backoff.step(guard, state, sample)
-            expected.append(state.gain)
+            state = gain_backoff.step(guard, state, sample, FLOATS)
+            expected.append(state.memory.gain)
         # Both add up the same terms, which XLA may fuse: some 1e-16 a step.
         np.testing.assert_allclose(told, expected, rtol=0, atol=1e-11)
 

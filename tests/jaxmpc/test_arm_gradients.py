@@ -14,13 +14,14 @@ from jaxmpc.engine.base import ScenarioData, as_dtype, scalars
 from jaxmpc.engine.forward_dynamics import implicit
 from jaxmpc.engine.registry import choose
 from jaxmpc.engine.scenario import program_spec, scenario_data, side_by_side
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import ArmLoop, Cell, start
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.arm import chain
 from jaxmpc.xla import ops
 from tests.jaxmpc.arm_tables import NO_COUNTS, TABLE, changed
 from tuning import TuneSpec, tune
+from tuning.search.mapping import PROPOSED
 
 NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 POINT = np.log([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0])
@@ -172,4 +173,4 @@ def test_tuning_runs_on_the_arm() -> None:
     assert np.isfinite(result.heldout).all()
     assert np.isfinite(result.state.z).all()
     assert not result.state.skipped.any()
-    assert result.state.z.shape[0] == 2
+    assert result.state.z.shape[0] == PROPOSED * spec.tune.starts

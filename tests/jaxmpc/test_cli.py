@@ -189,15 +189,17 @@ def test_reduction_and_deviation_are_those_of_the_numbers() -> None:
     experiment = Experiment.published("table-1")
     outcome = evaluate(Params(), experiment)
     paper = np.array([comparison.TABLE_1[K_s] for K_s in experiment.stiffness])
-    scaled = outcome.metrics._replace(peak_to_peak=0.8 * paper[..., 0], rms=1.1 * paper[..., 1])
+    true = {"true_peak_to_peak": 0.5 * paper[..., 0], "true_rms": paper[..., 1]}
+    scaled = outcome.metrics._replace(peak_to_peak=0.8 * paper[..., 0], rms=1.1 * paper[..., 1], **true)
     ours = outcome._replace(metrics=scaled)
     rows = comparison.paper_rows(ours, experiment)
     assert [row[:2] for row in rows] == [[K_s, axis] for K_s in ("375", "810", "1900") for axis in "XYZ"]
     assert {(row[4], row[7]) for row in rows} == {("−20", "+10")}
+    assert [row[8:] for row in rows] == [[f"{0.5 * pp:.2f}", f"{rms:.3f}"] for pp, rms in paper.reshape(-1, 2)]
     np.testing.assert_allclose(comparison.deviations(ours, experiment), 0.1)
-    doubled = ours._replace(metrics=scaled._replace(rms=2.0 * scaled.rms))
+    doubled = ours._replace(metrics=scaled._replace(rms=2.0 * scaled.rms, true_rms=4.0 * scaled.true_rms))
     assert {tuple(row[2:]) for row in comparison.reduction_rows(ours, {"other": doubled}, experiment)} == {
-        ("+50", "+50", "+50")
+        ("+50", "+50", "+50", "+75", "+75", "+75")
     }
 
 

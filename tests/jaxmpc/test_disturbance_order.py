@@ -14,7 +14,7 @@ from jaxmpc import InputError, Params, design, margins
 from jaxmpc.engine.base import scalars
 from jaxmpc.engine.linear_scan import record
 from jaxmpc.law import cascade
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains, constant_reference
 from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis.plant import contact_model
@@ -32,7 +32,7 @@ def params_of(order: int) -> Params:
 
 def plain(gains: Gains) -> Gains:
     """The law on Python floats, for a reference held constant."""
-    return cascade.constant_reference(jax.tree.map(lambda field: np.asarray(field).tolist(), gains))
+    return constant_reference(jax.tree.map(lambda field: np.asarray(field).tolist(), gains))
 
 
 def delayed_plant(params: Params) -> tuple[np.ndarray, np.ndarray]:

@@ -61,6 +61,26 @@ def test_metrics_are_those_of_the_trace() -> None:
     chatter = np.sqrt((np.diff(a, axis=-1)[..., 2999:] ** 2).mean(axis=-1))
     np.testing.assert_allclose(outcome.metrics.chatter, chatter, rtol=1e-9)
     np.testing.assert_allclose(outcome.metrics.peak_force, np.abs(outcome.trace.force).max(axis=-1), rtol=1e-12)
+    true = np.asarray(outcome.trace.true_force - outcome.trace.force_ref[..., 0])[:, :, 3000:]
+    np.testing.assert_allclose(outcome.metrics.true_rms, np.sqrt((true**2).mean(axis=-1)), rtol=1e-9)
+    np.testing.assert_allclose(outcome.metrics.true_peak_to_peak, np.ptp(true, axis=-1), rtol=1e-9)
+    for name in ("clamped", "joint_torque", "torque_step"):
+        assert (np.asarray(getattr(outcome.metrics, name)) == 0.0).all()
+
+
+@pytest.mark.parametrize("damping", ["ideal", "sampled"])
+def test_the_measured_force_is_the_true_one_behind_the_sensor(damping: str) -> None:
+    """Low-pass by scipy, the noise of the experiment, rounding to the sensor's LSB."""
+    experiment = replace(SHORT, damping=damping)
+    trace: Any = evaluate(Params(), experiment, trace=True).trace
+    cutoff = experiment.loop_path().sensor_cutoff
+    pole = float(np.exp(-cutoff * experiment.sampling_time)) if cutoff else 0.0
+    felt = scipy.signal.lfilter([1.0 - pole], [1.0, -pole], np.asarray(trace.true_force), axis=-1)
+    noise, lsb = experiment.signals.noise[: experiment.steps].T, np.array(experiment.sensor.lsb)[:, None]
+    # Where a value lies on the edge between two counts, rounding differently moves it by one.
+    off = np.asarray(trace.force) - lsb * np.floor((felt + noise) / lsb + 0.5)
+    assert np.count_nonzero(np.abs(off) > 1e-9) < 1e-4 * off.size
+    assert (damping == "ideal") == (pole == 0.0)
 
 
 def test_heart_motion_alone_leaves_the_known_residual() -> None:

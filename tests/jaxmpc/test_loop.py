@@ -39,7 +39,7 @@ BEGIN = 2000
 def forces(experiment: Experiment, samples: int = 40) -> np.ndarray:
     """Measured forces of some samples from `BEGIN` on, where the heart moves; the tip touches it there first."""
     (loop, cell), signals = loop_of(experiment), scenario_data(experiment).signals
-    heart, between, noise, wanted, score, softening, watch, time = (np.asarray(field)[0] for field in signals)
+    heart, between, noise, wanted, score, softening, watch, time = (np.asarray(field)[0] for field in signals[:8])
     carry, found = start(loop, cell, np), []
     rest = np.stack([heart[BEGIN, 0], np.zeros(3)])
     heart, between = heart - rest, between - rest

@@ -15,7 +15,7 @@ from jaxmpc import Experiment
 from jaxmpc.experiment.build import robot_of
 from jaxmpc.experiment.tables import ArmSettings
 from jaxmpc.law import cascade
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.synthesis.force_filter import force_filter
 from jaxmpc.world import robot as world
 from jaxmpc.world.arm import chain, model, tip_at
@@ -224,7 +224,7 @@ def readings(kind, of, heart_at, count):
     """What the sensor says of a heart moving under a still arm."""
     state, said = world.init(CHAIN, kind, of, 0.0, FLOATS), []
     for k in range(count):
-        force, _, _, state = world.sense(CHAIN, kind, of, state, heart_at(k), QUIET, FLOATS)
+        force, _, _, _, state = world.sense(CHAIN, kind, of, state, heart_at(k), QUIET, FLOATS)
         said.append(force)
     return np.array(said)
 
@@ -262,7 +262,7 @@ def test_tool_beyond_the_sensor_reads_its_inertia_and_no_weight():
     torque = tuple(held + 2.0 for held in state.pending[0])
     state = state._replace(pending=(torque, torque))
     for _ in range(30):
-        force, _, _, state = world.sense(CHAIN, kind, of, state, STILL, QUIET, FLOATS)
+        force, _, _, _, state = world.sense(CHAIN, kind, of, state, STILL, QUIET, FLOATS)
         said.append(force)
         q.append(state.q)
         state = run(kind, of, state, torque, 1e-3)[0]

@@ -46,7 +46,8 @@ def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architectu
     assert deviation <= 1e-12
     short = tuple(each[:50] for each in (force, force_ref, v))
     frozen = freeze(tmp_path / "c.npz", arrays, 1e-3, 10.0, LOOP, params, [ROW], floor, short, {}, preview)
-    assert (frozen.gains.K, cascade.order(frozen.gains)) == (tuple(np.asarray(gains.K).tolist()), order)
+    assert frozen.gains.K == tuple(np.asarray(gains.K).tolist())
+    assert len(frozen.gains.K) == 3 + order
     assert frozen.gains.L == tuple(np.asarray(gains.L).tolist())
 
 

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from jaxmpc import InputError, Params, Status, design, margins
+from jaxmpc.law import cascade
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.stability.crossings import loop_margins
-from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
+from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius, transition_matrix
 from jaxmpc.stability.response import filter_response, loop_response
 from jaxmpc.synthesis import design_one
-from jaxmpc.world.contact import hertz
+from jaxmpc.world.contact import hertz, move, sense
+from jaxmpc.world.contact import init as begin_contact
 from jaxmpc.world.loop_path import loop_path
 
 T_S = 1e-3
@@ -50,6 +52,29 @@ def cut_margins(params: Params, K_s: Any, delay: Any, ideal: bool, cut: Any) -> 
         return loop_response(gains, contact, theta, cut, late)
 
     return loop_margins(loop, loop, T_S)
+
+
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES)
+def test_the_cut_at_the_force_is_the_cut_at_v(params: Params, K_s: float, delay: int, ideal: bool) -> None:
+    """What comes back of a force added to the measured one, from one sample of law and world, differentiated."""
+    gains = design(params)
+    gains = gains._replace(mpc_ref=gains.mpc_ref[:1])
+    contact = contact_of(K_s, params.K2, loop_path(delay=delay, ideal=ideal))
+
+    def one_sample(controller: Any, world: Any) -> Any:
+        state, added, _ = world
+        force, state = sense(contact, state, jnp.zeros(()))
+        controller, v = cascade.step(gains, controller, force + added, (jnp.zeros(()),))
+        return controller, (move(contact, state, v)[0], jnp.zeros(()), force + added)
+
+    begin = cascade.init(gains, jnp.zeros(())), (begin_contact(jnp.zeros(())), jnp.zeros(()), jnp.zeros(()))
+    whole = np.asarray(transition_matrix(gains, one_sample, *begin))
+    A, B, C = whole[:-2, :-2], whole[:-2, -2], whole[-1, :-2]
+    for theta in np.geomspace(1e-2, 3.1, 40):
+        S = 1.0 + C @ np.linalg.solve(np.exp(1j * theta) * np.eye(len(A)) - A, B)
+        expected = 1.0 / (1.0 + complex(loop_response(gains, contact, theta, 0.0)))
+        # Both lose digits near the loops' poles, which lie at 1 within some 1e-3.
+        assert abs(S - expected) < 1e-8 * abs(expected)
 
 
 def radius(A: np.ndarray) -> float:

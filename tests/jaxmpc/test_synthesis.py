@@ -8,7 +8,7 @@ import scipy.linalg
 import scipy.signal
 
 from jaxmpc import Params, design
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.quantities import HP_MAX, HU_MAX
 from jaxmpc.synthesis import _design, design_one
 from jaxmpc.synthesis.feedback import state_feedback

@@ -1,6 +1,7 @@
 """`jaxmpc trials`: exit codes, files, and what it says, on outcomes made by hand."""
 
 import csv
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,7 +25,9 @@ def peaks(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
             peak = np.broadcast_to(np.array(list(largest.values()))[: len(job.controllers), None], (*flat.shape, 3))
             # In the first trial alone.
             peak = np.where(np.arange(first, first + trials.BLOCK)[:, None, None] == 0, peak, 0.1)
-            return Outcomes(flat.astype(np.int8), flat + np.nan, flat + 0.9, 0.1 * peak, peak)
+            calm, never, rms = 0.01 * peak, flat == 1.0, 0.1 * peak
+            when = flat + np.nan, flat + 0.9, flat + np.inf
+            return Outcomes(flat.astype(np.int8), *when, rms, rms, peak, calm, never)
 
         return compute
 
@@ -42,8 +45,9 @@ def test_who_never_fails_ends_with_0(
     out = tmp_path / "out"
     assert main([*command, "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "both 0, only tuned 0, only text 1, neither 39" in said
-    assert "text: |e| ≥ 2 N alone 1" in said
+    assert "trial: both 0, only tuned 0, only text 0, neither 40" in said
+    assert "stress arms" in said
+    assert re.findall(r"left \|e\| < 2 N\W+(\d+)", said) == ["0", "1"]
     assert {path.name for path in out.iterdir()} == {
         "blocks",
         "trials.csv",
@@ -54,7 +58,7 @@ def test_who_never_fails_ends_with_0(
     with (out / "trials.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 40
-    assert [row["text: unstable"] for row in rows[:2]] == ["1", "0"]
+    assert [(row["text: lost"], row["text: left 2 N"]) for row in rows[:2]] == [("0", "1"), ("0", "0")]
     assert float(rows[0]["stiffness [N/m]"]) == pytest.approx(Experiment.from_toml(out / "worst.toml").stiffness[0])
     files = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     assert main([*command, "-o", str(out)]) == 0
@@ -66,11 +70,14 @@ def test_who_never_fails_ends_with_0(
 
 
 @pytest.mark.slow
-def test_who_fails_ends_with_1_and_the_count(peaks: dict[str, float], capsys: pytest.CaptureFixture[str]) -> None:
+def test_who_is_lost_ends_with_1_and_the_count(
+    peaks: dict[str, float], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     peaks["first"] = 2.5
+    monkeypatch.setattr(trials, "SWINGING", 0.02)
     assert main(["trials", "text", "--trials", "3"]) == 1
     told = capsys.readouterr()
-    assert "text was unstable in 1 of 3 trials" in told.err
+    assert "text was lost in 1 of 3 trials" in told.err
     assert "M_s presliding" in told.out
 
 

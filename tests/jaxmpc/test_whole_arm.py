@@ -10,8 +10,8 @@ import scipy.linalg
 
 from jaxmpc import Experiment, InputError, Params, design
 from jaxmpc.experiment.build import robot_on_its_tissue, structure_of
-from jaxmpc.law import cascade
 from jaxmpc.law import chain as arm
+from jaxmpc.law.gains import constant_reference
 from jaxmpc.loop.arm import ArmCarry, ArmLoop, ArmSignals, Cell, advance, start
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.whole_arm import lost, radii, robots_of, whole_arm_matrix
@@ -76,12 +76,12 @@ def test_it_is_the_slope_of_one_sample() -> None:
     smooth = experiment(2, coulomb=(0.0,) * 4, encoder_counts=0, torque_lsb=0.0, **swinging)
     smooth = msgspec.structs.replace(smooth, sensor=msgspec.structs.replace(smooth.sensor, lsb=(0.0,) * 3))
     kind, robot = world_of(smooth)
-    gains = jax.tree.map(np.asarray, cascade.constant_reference(design(Params())))
+    gains = jax.tree.map(np.asarray, constant_reference(design(Params())))
     loop, cell = ArmLoop(chain(), kind, accelerate), Cell(gains, 20.0, robot)
     rest, structure = at_rest(loop, cell)
     n, step = len(rest), 1e-5
     shifted = rest[:, None] + step * np.hstack([np.eye(n), -np.eye(n)])
-    begun = ArmCarry(*jax.tree.unflatten(structure, list(shifted)), (0.0,) * 3)
+    begun = ArmCarry(*jax.tree.unflatten(structure, list(shifted)), (0.0,) * 3, (0.0,) * 4)
     after, _ = advance(loop, cell, begun, QUIET, np)
     following = jax.tree.leaves((after.controller, after.robot))
     above, below = np.split(np.stack([np.broadcast_to(row, 2 * n) for row in following]), 2, axis=1)
@@ -133,14 +133,15 @@ def test_one_controller_and_one_tissue_each() -> None:
 
 @pytest.mark.slow
 def test_it_foretells_the_hard_trials() -> None:
-    """Of 720, 89.7 % as foretold: 68.8 % unstable, and 60.1 % in the runs, where nearly all others lie.
+    """Of 720 of 8 s each, 89.7 % as foretold: 68.8 % unstable, and 60.1 % in the runs, where nearly all others lie.
 
     The bounds leave room for another processor's bits. Friction holds some loops that the matrix says are lost, and
     some diverge so slowly that 8 s do not show it.
     """
     job = trials.Job((Params(),), Experiment.published("table-1-wam"), trials.HARD)
     foretold = lost(Params(), [job.trial(i) for i in range(trials.BLOCK)])
-    happened = trials.run(job, trials.BLOCK).unstable[:, 0]
+    found = trials.run(job, trials.BLOCK)
+    happened = (found.lost | found.left)[:, 0]
     assert np.mean(foretold == happened) > 0.85
     assert np.mean(happened & ~foretold) < 0.03
 

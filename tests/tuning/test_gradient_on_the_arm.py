@@ -28,11 +28,11 @@ TUNED = {"lam": 5.0, "Q_p": 40.0, "Q_x": 5.0, "T_cl": 3e-4, "K2": 19.0, "Khat_s"
 @pytest.mark.oracle
 @in_float64
 def test_every_parameter_at_twenty_random_feasible_points(small: Job) -> None:
-    tune = {"starts": 2, "train_seeds": [0, 1], "duration": 0.6, "settle": 0.2, "levels": ["arm"]}
+    tune = {"starts": 2, "train_seeds": [0, 1], "duration": 0.6, "settle": 0.2}
     scenarios = {"rhythms": ["own", "steady"], "friction": 0.3, "mass": 0.1}
     goals = {"M_s": 3.5, "ideal": False, "soft": {"rms": 0.05}}
     spec = TuneSpec.from_dict(small(experiment=QUIET, params=TUNED, tune=tune, scenarios=scenarios, goals=goals))
-    problem = problem_of(spec, "arm", training(spec, (0, 1)))
+    problem = problem_of(spec, training(spec, (0, 1)))
     drawn = spec.space.encode(spec.params) + 0.2 * np.random.default_rng(0).standard_normal((2 * ROWS, spec.space.size))
     # Soft horizons, whose slope whole ones do not have.
     seen = [problem.differentiate(part, 3.0) for part in np.split(drawn, 2)]

@@ -16,8 +16,9 @@ from tuning import TuneSpec
 from tuning.objective.loss import HEADROOM, Values, loss_of
 from tuning.objective.measures import Data
 from tuning.objective.problem import Problem, problem_of, training
+from tuning.proof.gradients import on_tissue
 from tuning.search.corrected import REACH, minimised, values_and_slopes
-from tuning.search.mapping import Measured, correction, parents, refine, spectra_of
+from tuning.search.mapping import Measured, corrected_at, correction, parents, refine, spectra_of
 from tuning.search.state import SearchState
 
 MOVED = (0, 1, 2, 3, 4, 5)
@@ -25,7 +26,7 @@ MOVED = (0, 1, 2, 3, 4, 5)
 
 
 class Case(NamedTuple):
-    """The arm's job on its two quick levels: linear runs, which measure, and spectra, which propose."""
+    """A job whose linear runs measure, quickly, and whose spectra propose."""
 
     spec: TuneSpec
     met: list[Experiment]
@@ -41,7 +42,7 @@ class Case(NamedTuple):
 def case() -> Case:
     spec = TuneSpec.from_dict(
         {
-            "experiment": {"published": "table-1-wam"},
+            "experiment": {"published": "table-1", "damping": "sampled"},
             "tune": {"mapping": 4, "duration": 4.0, "settle": 2.5, "train_seeds": [0], "margin_points": 0},
             "goals": {"M_s": 3.0, "gain_margin_db": 4.0, "soft": {"rms_ratio": 0.65, "peak_to_peak_ratio": 0.7}},
         }
@@ -53,7 +54,7 @@ def case() -> Case:
     @in_float64
     def made() -> Case:
         met = training(spec, spec.tune.train_seeds)
-        measuring = problem_of(spec, "linear", met)
+        measuring = problem_of(spec, met)
         spectra = spectra_of(spec, measuring, met)
         measured = measuring.evaluate(z)
         return Case(spec, met, measuring, spectra, z, measured, correction(measured.cells, spectra.evaluate(z).cells))
@@ -74,6 +75,16 @@ def test_corrected_spectra_say_at_a_point_what_was_measured_there(case: Case) ->
         loss, (_, _, _, _, hard, soft, _) = said
         for found, expected in ((loss, case.measured.loss), (hard, case.measured.hard), (soft, case.measured.soft)):
             np.testing.assert_allclose(found[i], expected[i], rtol=1e-12)
+
+
+@pytest.mark.slow
+@in_float64
+def test_what_is_corrected_at_a_point_holds_for_each_tissue_alone(case: Case) -> None:
+    measured = Measured(case.z, case.measured.loss, case.factors)
+    for i, tissue in ((1, 0), (3, 2)):
+        corrected = on_tissue(corrected_at(case.spectra, measured, case.z[i]), tissue)
+        runs = on_tissue(case.measuring, tissue).evaluate(case.z)
+        np.testing.assert_allclose(corrected.evaluate(case.z).score[i], runs.score[i], rtol=1e-12)
 
 
 def limited(case: Case, rows: int, factors: Metrics) -> Data:
@@ -171,7 +182,7 @@ def test_searches_follow_the_best_and_none_that_lost_the_heart() -> None:
 def test_it_improves_and_a_killed_one_continues_to_the_same_bits(
     case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    job = case.spec, case.measuring, case.met, case.z
+    job = case.spec, case.measuring, case.spectra, case.z
     whole = refine(*job)
     assert (np.diff(whole.incumbent[: whole.iteration]) <= 0.0).all()
     assert whole.feasible

@@ -26,7 +26,7 @@ STEP = 1e-3
 
 
 def problem(spec: TuneSpec) -> Problem:
-    return problem_of(spec, spec.ladder[-1], training(spec, spec.tune.train_seeds))
+    return problem_of(spec, training(spec, spec.tune.train_seeds))
 
 
 def central(values: np.ndarray) -> np.ndarray:
@@ -127,7 +127,7 @@ def test_effort_and_chatter_are_goals_from_spectra_as_in_time(small: Job) -> Non
     experiment = {"published": "table-1-wam", "duration": 6.0, "settle": 2.0}
     goals = {"M_s": 6.0, **HARD, "ideal": False, "soft": SOFT}
     spec = TuneSpec.from_dict(small(experiment=experiment, goals=goals))
-    problem, space = problem_of(spec, "frequency", training(spec, spec.tune.train_seeds)), spec.space
+    problem, space = problem_of(spec, training(spec, spec.tune.train_seeds), spectral=True), spec.space
     assert problem.hard_goals == ("chatter", "effort_x")
     assert problem.soft_goals == ("chatter", "effort_z", "rms")
     # Off the kinks of the soft mask, which whole horizons can stand on.
@@ -148,17 +148,17 @@ def test_effort_and_chatter_are_goals_from_spectra_as_in_time(small: Job) -> Non
 
 @pytest.mark.slow
 @in_float64
-def test_levels_agree_on_effort_and_chatter(small: Job) -> None:
+def test_spectra_and_runs_agree_on_effort_and_chatter(small: Job) -> None:
     """To 5 %: noise makes nearly all of both, and that the linear loop knows to 3 %. It knows no limits of joints."""
-    tune = {"starts": 2, "duration": 6.0, "settle": 2.5, "levels": ["frequency", "arm"]}
+    tune = {"starts": 2, "duration": 6.0, "settle": 2.5}
     params = {"K2": 40.0, "T_cl": 2e-4, "Khat_s": 800.0, "Q_p": 1.5}
     spec = TuneSpec.from_dict(
         small(
             experiment={"published": "table-1-wam", "arm": UNLIMITED}, params=params, tune=tune, goals={"ideal": False}
         )
     )
-    levels = (problem_of(spec, level, training(spec, (0,))) for level in spec.ladder)
-    coarse, fine = (measure(spec.params, level.data, level.structure) for level in levels)
+    both = (problem_of(spec, training(spec, (0,)), spectral) for spectral in (True, False))
+    coarse, fine = (measure(spec.params, one.data, one.structure) for one in both)
     np.testing.assert_allclose(coarse.chatter, fine.chatter, rtol=0.05)
     np.testing.assert_allclose(coarse.effort, fine.effort, rtol=0.05)
 

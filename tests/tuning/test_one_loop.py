@@ -10,9 +10,9 @@ import pytest
 
 from deploy.controller.file import load
 from jaxmpc import Experiment, InputError, Margins, Params, evaluate, margins
-from jaxmpc.cli.freeze import freeze_controller
 from jaxmpc.closed_loops import close_loops
 from jaxmpc.experiment.tables import SensorSettings
+from jaxmpc.export.freezing import freeze_controller
 from tuning import TuneSpec
 from tuning.objective.measures import Data, judged_margins
 from tuning.objective.problem import problem_of, training
@@ -34,7 +34,7 @@ def test_everybody_judges_one_loop(
     evaluated = np.asarray(evaluate(params, experiment).margins.M_s)
     job = small(experiment={**EXPERIMENT, **filters}, tune={"duration": 3.5, "settle": 3.0}, goals={"ideal": False})
     spec = TuneSpec.from_dict(job)
-    problem = problem_of(spec, "linear", training(spec, [0]))
+    problem = problem_of(spec, training(spec, [0]))
 
     def tuned_margins(batch: Params, data: Data) -> Margins:
         return judged_margins(close_loops(batch, data.scene.stiffness, data.scene.path), data)

@@ -14,8 +14,8 @@ import tuning.search.optimise
 from jaxmpc import Params, margins
 from jaxmpc.files.errors import InputError
 from tuning import TuneSpec, tune
-from tuning.search.multifidelity import run_levels
 from tuning.search.optimise import optimiser, schedule
+from tuning.search.run import run_search
 from tuning.search.state import NAME, SearchState
 
 Job = Callable[..., dict[str, Any]]
@@ -23,7 +23,7 @@ Job = Callable[..., dict[str, Any]]
 
 def descend(spec: TuneSpec, folder: Path | None = None) -> SearchState:
     """The only level of a linear job."""
-    return run_levels(spec, folder).steps[-1].state
+    return run_search(spec, folder).steps[-1].state
 
 
 def test_the_schedule_looks_first_then_softens_then_polishes() -> None:

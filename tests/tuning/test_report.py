@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,18 +17,18 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import METRICS
 from jaxmpc.stability import Margins
 from tuning import TuneResult, TuneSpec, report
-from tuning.proof.agreement import Agreement
 from tuning.proof.limits import Active, LimitStudy, active_margins
 from tuning.proof.loops import Curves
-from tuning.proof.reached import Row, rows, verdict
+from tuning.proof.reached import STUDY, Row, rows, verdict
 from tuning.proof.sensitivities import Sensitivities
 from tuning.proof.split import Split
 from tuning.reports.explained import Study, limits_text
 from tuning.reports.figures import best_of_each_iteration
 from tuning.reports.files import write
 from tuning.reports.html import picture, tag
+from tuning.reports.limit import limit_section
 from tuning.reports.page import html_report
-from tuning.search.multifidelity import Step
+from tuning.search.run import Step
 from tuning.search.state import SearchState
 
 Job = Callable[..., dict[str, Any]]
@@ -94,7 +95,7 @@ def result(small: Job) -> TuneResult:
         state.record(_values(0.9 - 0.1 * iteration, judged), exact=True, worth=0.0)
         state.iteration += 1
     problem: Any = SimpleNamespace(hard_goals=())
-    steps = [Step("linear", "linear", problem, state)]
+    steps = [Step("linear", problem, state)]
     margins = {"as run": found, "ideal": found}
     params = spec.space.exact(state.leader_z)
     return TuneResult(spec, params, True, heldout, margins, steps, {1: 0.5, 2: 0.7})
@@ -114,12 +115,10 @@ def study() -> Study:
     slopes = np.arange(18.0).reshape(2, 3, 3) / 10.0
     metrics, parameters = ("score", "M_s"), ("lam", "Q_p", "Hp")
     parts = (np.full((2, 3, 3), size) for size in (0.05, 0.03, 0.04, 0.01))
-    points = np.random.default_rng(0).uniform(0.5, 2.0, (2, 6))
     return Study(
         (curve, curve),
-        Sensitivities("linear", metrics, parameters, np.ones((2, 3)), slopes),
+        Sensitivities(metrics, parameters, np.ones((2, 3)), slopes),
         Split(*parts),
-        Agreement(("frequency", "linear"), np.zeros(6), points, points),
         LimitStudy([Active("M_s", 1900.0, 0.99, 0.5)], 0.2),
     )
 
@@ -140,6 +139,24 @@ def test_a_goal_that_held_in_training_alone_is_told(result: TuneResult, monkeypa
     known, missed = rows(result), Row("chatter", True, 1.2, (0.8, 1.207), 1900.0)
     monkeypatch.setattr("tuning.proof.reached.rows", lambda _: [*known, missed])
     assert verdict(result) == "all hard goals are met in training; held out, missed: chatter ≤ 1.2 m/s²"
+
+
+def test_what_freezing_refuses_is_not_met(result: TuneResult) -> None:
+    refused = replace(result, refused="golden_torque of J2 = 117 N m")
+    assert not refused.met
+    assert report(refused).startswith("it may not fly: freeze refuses golden_torque of J2 = 117 N m\n")
+
+
+def test_a_study_without_limits_says_so_first(result: TuneResult) -> None:
+    arm = msgspec.structs.replace(result.spec.experiment, physics="wam")
+    study = replace(result, spec=msgspec.structs.replace(result.spec, experiment=arm.without_limits()))
+    assert verdict(study) == f"all hard goals are met; {STUDY}"
+    limited = replace(result, spec=msgspec.structs.replace(result.spec, experiment=arm))
+    assert (
+        verdict(limited) == "all hard goals are met in training; held out, missed: clamped ≤ 0.001; freeze accepts it"
+    )
+    implied = [row for row in rows(limited) if row.kind == "implied"]
+    assert [row.name for row in implied] == ["chatter", "clamped", "joint_torque", "torque_step"]
 
 
 def test_the_best_of_a_look_holds_its_goals_if_any_does() -> None:
@@ -190,7 +207,6 @@ def test_files_are_whole_and_the_page_needs_nothing_else(
         "What limits it",
         "Causes of the residual",
         "Sensitivity to the parameters",
-        "Agreement of the levels",
         "The way there",
     ]
     assert NAME not in page
@@ -212,13 +228,12 @@ def test_nothing_held_and_nothing_met(result: TuneResult, study: Study) -> None:
     failed = replace(result, heldout=lost, feasible=False, margins={"as run": worse, "ideal": worse})
     held = LimitStudy([Active("M_s", 375.0, 1.25, np.nan)], np.nan)
     parts = Split(*(np.full((2, 3, 3), np.nan) for _ in Split._fields))
-    page = html_report(failed, study._replace(limits=held, split=parts, agreement=None))
+    page = html_report(failed, study._replace(limits=held, split=parts))
     said = report(failed)
     assert "M_s ≤ 2 is missed by 0.5" in said
     assert "M_s is missed at 1900 N/m, 125.0 % of its limit" in said
     assert "Lost before: 1000, 1001, 1002, 1007 (all of them, so none is left out)" in said
     assert "unstable → " in page
-    assert "Agreement" not in page
     assert "relaxed" not in page
 
 
@@ -236,6 +251,16 @@ def test_what_limits_it_in_words(result: TuneResult, study: Study) -> None:
     assert f"fall by some {100 * (1 - 1.1**-0.5):.1f} %" in active
     assert "all but 20 %" in slope
     assert "friction 40.0 mN (64 % of its power), noise 10.0 mN (4 % of its power)" in parts
+
+
+def test_the_limit_of_the_same_goals_stands_beside_it(result: TuneResult) -> None:
+    section = limit_section(replace(result, params=Params.published("cautious")))
+    rows = [cell for table in section.tables for cell in table.rows]
+    assert len(rows) == 3 * len(result.spec.experiment.stiffness)
+    for _, *numbers, ratio in rows:
+        assert float(ratio) == pytest.approx(float(numbers[-1]) / float(numbers[0]), rel=0.01)
+        assert float(ratio) > 1.0
+    assert "× the limit" in section.sentences[-1]
 
 
 def test_text_is_escaped_and_pictures_come_without_files(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from benchmarks.rivals.objective import evaluator, mpc_aob, pi_control
 from benchmarks.rivals.room import shares, vectors
 from jaxmpc.experiment import Experiment
 from jaxmpc.law import cascade
+from jaxmpc.law.gains import Gains, constant_reference
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.stability.response import controller_response
 from jaxmpc.world.loop_path import loop_path
@@ -27,8 +28,8 @@ CONTROLLER = pi.Pi(K_p=0.8, T_i=0.05, K2=40.0)
 
 
 @pytest.fixture(scope="module")
-def gains() -> cascade.Gains:
-    found: cascade.Gains = jax.tree.map(np.asarray, pi.gains(CONTROLLER, T_s))
+def gains() -> Gains:
+    found: Gains = jax.tree.map(np.asarray, pi.gains(CONTROLLER, T_s))
     return found
 
 
@@ -41,10 +42,10 @@ def by_hand(wanted: np.ndarray, forces: np.ndarray) -> np.ndarray:
     return np.array(commands)
 
 
-def test_pi_gains_are_a_pi_controller(gains: cascade.Gains) -> None:
+def test_pi_gains_are_a_pi_controller(gains: Gains) -> None:
     random = np.random.default_rng(0)
     wanted, forces = random.normal(size=(2, 200))
-    told = cascade.constant_reference(gains)
+    told = constant_reference(gains)
     state, commands = cascade.init(gains, forces[0]), []
     for F_d, y in zip(wanted, forces, strict=True):
         state, v = cascade.step(told, state, y, (F_d,))
@@ -54,7 +55,7 @@ def test_pi_gains_are_a_pi_controller(gains: cascade.Gains) -> None:
     assert float(state.p_hat) == 0.0
 
 
-def test_its_frequency_response_is_that_of_a_pi_controller(gains: cascade.Gains) -> None:
+def test_its_frequency_response_is_that_of_a_pi_controller(gains: Gains) -> None:
     q = np.exp(-1j * np.geomspace(1e-4, np.pi, 50))
     expected = -CONTROLLER.K_p * (1.0 + T_s / CONTROLLER.T_i / (1.0 - q))
     np.testing.assert_allclose(controller_response(gains, jnp.asarray(q)), expected, rtol=1e-12)
@@ -101,7 +102,7 @@ def brief() -> tuple[TuneSpec, Problem]:
     goals: Any = {"M_s": 2.0, "rms": 0.06, "soft": {"rms": 0.05, "peak_to_peak": 0.3}}
     tune = {"train_seeds": [0, 1], "duration": 1.0, "settle": 0.5, "margin_points": 0, "starts": 8}
     spec = TuneSpec.from_dict({"experiment": experiment, "tune": tune, "goals": goals})
-    return spec, problem_of(spec, "linear", training(spec, spec.tune.train_seeds))
+    return spec, problem_of(spec, training(spec, spec.tune.train_seeds))
 
 
 def test_everybody_is_given_the_tuners_objective(brief: tuple[TuneSpec, Problem]) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxmpc import Params
+from jaxmpc import Experiment, Params
 from jaxmpc.files.errors import InputError
 from tuning import TuneSpec
 from tuning.job.space import FREE
@@ -84,6 +84,7 @@ WRONG = {
     "a seed twice": ("[tune]\ntrain_seeds = [1, 1]", "tune.train_seeds", "repetition", 2),
     "settle too long": ("[tune]\nsettle = 9.0", "tune.settle", "below duration", 2),
     "unknown key": ("[tune]\nstep = 3", "tune.step", "'steps'", 2),
+    "a setting that is gone": ('[tune]\nlevels = ["arm"]', "tune.levels", "known key", 2),
     "no steps": ("[tune]\nsteps = 0", "tune.steps", ">= 1", 2),
     "unknown table": ("[goal]\nM_s = 2.0", "goal", "'goals'", 1),
     "unknown experiment key": ("[experiment]\nstiffnes = [1.0]", "experiment.stiffnes", "'stiffness'", 2),
@@ -110,3 +111,9 @@ def test_python_meets_the_same_checks() -> None:
     spec = TuneSpec.from_dict({})
     with pytest.raises(InputError, match="one controller"):
         TuneSpec(spec.experiment, Params.stack([spec.params, spec.params]))
+
+
+def test_a_family_is_refused_rather_than_tuned_in_part() -> None:
+    with pytest.raises(InputError, match=r"params\.knots") as refused:
+        TuneSpec(experiment=Experiment.published("table-1"), params=Params.published("family"))
+    assert "each knot" in refused.value.remedy

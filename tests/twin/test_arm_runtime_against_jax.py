@@ -11,11 +11,12 @@ from deploy.controller.file import load
 from deploy.controller.golden import replay
 from deploy.controller.limits import Limits
 from jaxmpc import Experiment, Params, design
-from jaxmpc.cli.freeze import freeze_controller, nominal_arm
 from jaxmpc.experiment.reference import Ramp
+from jaxmpc.export.freezing import freeze_controller, nominal_arm
 from jaxmpc.export.golden import ArmRun, arm_law_trace, simulated_arm_runs
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import gain_backoff
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.world.arm import chain, tip_at
 from tests.deploy import made
 
@@ -120,7 +121,7 @@ def test_freezing_from_parameters_to_a_file_that_runs(frozen):
     assert again.kind == "wam"
     assert again.arm.limits == Limits.from_plain(Limits.default(tip_at(TABLE.arm.posture)).plain() | {"force": 9.0})
     assert again.arm.chain == artifact.arm.chain == chain()
-    assert len(again.arm.golden_q) == 256
+    assert len(again.arm.golden_q) == 512
     assert not again.loop.ideal
 
 
@@ -129,8 +130,8 @@ def test_a_guarded_controller_is_frozen_with_a_force_that_swings(tmp_path):
     artifact = freeze_controller(tmp_path / "c.npz", Params(guarded=True), SHORT, {"M_s": 5.0}, ideal=False)
     guard = gain_backoff.init()
     for error in (artifact.golden_force - artifact.golden_force_ref).tolist():
-        guard = gain_backoff.step(artifact.gains.guard, guard, tuple(error))
-    assert guard.gain < 0.5
+        guard = gain_backoff.step(artifact.gains.guard, guard, tuple(error), FLOATS)
+    assert guard.memory.gain < 0.5
 
 
 def test_a_guarded_controller_is_not_frozen_without_an_arm(tmp_path):

@@ -8,7 +8,7 @@ from deploy.loop.loop import STATES
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from jaxmpc import Experiment, Params, evaluate, margins
-from jaxmpc.cli.freeze import freeze_controller
+from jaxmpc.export.freezing import freeze_controller
 from jaxmpc.world.heart.motion import Motion
 from tests.twin.flying import fly
 

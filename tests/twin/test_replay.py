@@ -10,13 +10,14 @@ import pytest
 from deploy.controller.file import load, to_bytes
 from deploy.controller.runtimes import arm_runtime
 from deploy.flight.recorder import COLUMNS, FlightRecorder, read
-from deploy.flight.replay import SETTLING, compare, inputs_of, through_runtime
+from deploy.flight.replay import KNOWN, SETTLING, compare, inputs_of, through_runtime
 from jaxmpc.cli import replay as verb
 from jaxmpc.files.errors import InputError
 from tests.deploy import made
 
 NAMES = {"state": ["idle", "armed", "approach", "contact", "retract", "stopped", "fault"]}
 IDLE, APPROACH, CONTACT, RETRACT = 0, 2, 3, 4
+STIFFNESS = 80.0
 NAN = (float("nan"),) * 3
 
 
@@ -31,6 +32,8 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
     runtime.start(tuple(q_all[0]))
     for k in range(samples):
         q, force = tuple(q_all[k]), tuple(force_all[k])
+        if artifact.gains.schedule:  # a tissue, whose stiffness can be found
+            force = tuple(y + STIFFNESS * x for y, x in zip(force, runtime.tip(q), strict=True))
         ref = tuple(map(tuple, wanted_all[k])) if artifact.preview else tuple(axis[0] for axis in wanted_all[k])
         first = tuple(axis[0] for axis in wanted_all[k])
         qd = runtime.velocity(q)
@@ -48,7 +51,9 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
             state, given = APPROACH if k < contact[0] else RETRACT, force
             wanted = applied = runtime.servo(q, qd, (0.1, 0.0, -0.2), force)
         row = (1e-3 * k, *(given or NAN), *first, *runtime.u, *runtime.last_v, *runtime.last_a, *runtime.p_hat)
-        row += (runtime.gain, *runtime.tip(q), *q, *applied, *qd, *wanted, *applied, state, *(0,) * 13)
+        row += (runtime.gain, *runtime.stiffness, *runtime.authority, *runtime.dither)
+        row += (*runtime.tip(q), *q, *applied, *qd, *runtime.memory[1:])
+        row += (*wanted, *applied, state, *(0,) * 13)
         recorder.append(row)
     return recorder
 
@@ -66,9 +71,14 @@ def flight(tmp_path_factory):
     return flown(tmp_path_factory.mktemp("plain"))
 
 
-@pytest.fixture(scope="module", params=["preview", "compensated", "guarded"])
+@pytest.fixture(scope="module", params=["preview", "compensated", "guarded", "observed", "scheduled"])
 def other_flight(request, tmp_path_factory):
-    options = {"gains": made.guarded_gains()} if request.param == "guarded" else {request.param: True}
+    special = {
+        "guarded": {"gains": made.guarded_gains()},
+        "observed": {"momentum_observer": 60.0},
+        "scheduled": {"gains": made.scheduled_gains()},
+    }
+    options = special.get(request.param) or {request.param: True}
     return flown(tmp_path_factory.mktemp(request.param), **options)
 
 
@@ -92,6 +102,11 @@ def test_a_flight_is_replayed_by_the_runtime_to_the_last_bit(other_flight):
     gain = recording.signals["gain"][inputs.contact, 0]
     assert (gain.min() < 0.5) == (artifact.gains.guard is not None)
     assert rows["gain"].samples == rows["v"].samples
+    known = recording.signals["stiffness"][inputs.contact]
+    assert (np.ptp(known[:, 0]) > 5.0) == (artifact.gains.schedule is not None)
+    assert (np.max(known) > 0.0) == (artifact.gains.schedule is not None)
+    assert (np.max(recording.signals["authority"]) > 0.0) == (artifact.gains.schedule is not None)
+    assert (np.max(np.abs(recording.signals["dither"])) > 0.1) == (artifact.gains.schedule is not None)
     known = 1000 - (63 if artifact.preview else 0)  # the last wanted forces lie beyond the contact
     assert rows["v"].samples == known
     assert rows["wanted"].samples == known + 500
@@ -113,7 +128,7 @@ def test_both_programs_agree_with_the_flight(other_flight, capsys):
 def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys, gains):
     controller = tmp_path / "controller.npz"
     controller.write_bytes(to_bytes(made.arm_artifact(gains=gains)))
-    write(tmp_path / "flight.npz", controller, fly(load(controller), 3500, contact=(100, 3500), seconds=2.5))
+    write(tmp_path / "flight.npz", controller, fly(load(controller), 8000, contact=(720, 8000), seconds=7.0))
     recording = read(tmp_path / "flight.npz")
     assert recording.signals["time"][0, 0] == 1.0
     assert replay(tmp_path / "flight.npz", "--artifact", controller) == 0
@@ -122,10 +137,30 @@ def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys, gains):
     inputs = inputs_of(recording, artifact, recording.header["artifact"])
     again = through_runtime(inputs, artifact)
     assert not np.array_equal(again["v"][5], recording.signals["v"][5])
+    assert np.mean(inputs.judged) > 0.2
+    assert (recording.signals["gain"].min() < 0.9) == (gains.guard is not None)
     # why SETTLING is enough: half of it is
-    late = inputs.time >= 1.0 + 0.5 * SETTLING
+    late = np.cumsum(recording.signals["gain"]) * 1e-3 >= 0.5 * SETTLING if gains.guard is None else inputs.judged
     assert np.max(np.abs(again["v"] - recording.signals["v"])[late]) < 1e-11
     capsys.readouterr()
+
+
+def test_a_schedule_whose_contact_is_not_in_the_recording_is_refused(tmp_path):
+    controller = tmp_path / "controller.npz"
+    controller.write_bytes(to_bytes(made.arm_artifact(gains=made.scheduled_gains())))
+    write(tmp_path / "flight.npz", controller, fly(load(controller), seconds=0.5, contact=(300, 1500)))
+    with pytest.raises(InputError, match=r"goes back to the contact.*--recorded"):
+        replay(tmp_path / "flight.npz", "--artifact", controller)
+
+
+def test_a_recording_from_before_there_were_schedules_is_replayed(flight, tmp_path):
+    recording = read(flight / "flight.npz")
+    columns = {name: column for name, column in COLUMNS.items() if name not in KNOWN}
+    recorder = FlightRecorder(columns, seconds=10.0)
+    for row in np.hstack([recording.signals[name] for name in columns]):
+        recorder.append(row)
+    write(tmp_path / "old.npz", flight / "controller.npz", recorder)
+    assert replay(tmp_path / "old.npz", "--artifact", flight / "controller.npz", "--picture", tmp_path / "a.png") == 0
 
 
 @pytest.mark.oracle

@@ -1,7 +1,12 @@
+import math
+import re
+
+import numpy as np
 import pytest
 
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import to_bytes
+from deploy.twin.residual import SETTLE, FlownResiduals
 from jaxmpc.cli import main
 from tests.deploy.conftest import trace
 from tests.deploy.made import LOOP, arm_artifact, margin_row, text_gains
@@ -29,6 +34,34 @@ def test_a_run_that_ends_well_leaves_no_recording_unless_asked(fly, tmp_path):
     assert "contact: the controller is in charge" in said.out
     assert "ended: stopped, finished" in said.out
     assert not (tmp_path / "flights").exists()
+
+
+def test_a_run_against_the_twin_tells_the_residual_measured_and_true(fly):
+    """The heart stands still: what is left is the sensor's noise and rounding, 10 mN, and hardly any of the force."""
+    code, said = fly("--duration", "6.5")
+    assert code == 0
+    rows = {line[:12].strip(): line[12:] for line in said.out.splitlines() if line.startswith(("  measured", "  true"))}
+    assert list(rows) == ["measured", "true force"]
+    measured, true = ([float(x) for x in re.findall(r"/ ([0-9.]+)", row)] for row in rows.values())
+    assert len(measured) == len(true) == 3
+    assert all(0.008 < x < 0.05 for x in measured)
+    assert all(0.0 < x < y for x, y in zip(true, measured, strict=True))
+
+
+def test_a_flight_too_short_tells_none_and_a_lost_force_counts_for_the_true_one_alone():
+    residuals = FlownResiduals()
+    residuals.add(SETTLE - 1e-3, (0.0, 0.0, -5.0), (9.0, 9.0, 9.0), (9.0, 9.0, 9.0))
+    assert residuals.report() == []
+    random = np.random.default_rng(0)
+    wanted, measured, true = random.normal(size=(3, 50, 3))
+    for k, rows in enumerate(zip(wanted, measured, true, strict=True)):
+        ref, force, known = map(tuple, rows)
+        residuals.add(SETTLE + k, ref, None if k == 3 else (math.nan,) * 3 if k == 4 else force, known)
+    kept = np.delete(measured - wanted, (3, 4), axis=0)
+    for line, error in zip(residuals.report()[1:], (kept, true - wanted), strict=True):
+        found = [[float(x) for x in pair.split(" / ")] for pair in re.findall(r"[0-9.]+ / [0-9.]+", line)]
+        expected = np.stack([np.ptp(error, axis=0), np.sqrt(np.mean(error**2, axis=0))], axis=1)
+        np.testing.assert_allclose(found, expected, atol=6e-4)
 
 
 def test_a_fault_is_recorded_named_and_replayed(fly, tmp_path, controller, capsys):

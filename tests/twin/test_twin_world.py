@@ -76,7 +76,7 @@ def test_the_world_is_the_simulators(kind, steps):
     hearts = [robot.HeartSample(tuple(x), tuple(v)) for x, v in zip(*(each.tolist() for each in signals), strict=True)]
     draw, sent, normal = np.random.default_rng(3), holding(world), []
     for k, heart in enumerate(hearts):
-        measured, _, _, state = robot.sense(chain(), structure, of, state, heart, (0.0,) * 3, FLOATS)
+        measured, _, _, _, state = robot.sense(chain(), structure, of, state, heart, (0.0,) * 3, FLOATS)
         np.testing.assert_allclose(world.truth().force, measured, rtol=0.0, atol=1e-7)
         normal.append(measured[2])
         before = sent

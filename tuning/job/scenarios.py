@@ -47,7 +47,7 @@ class Scenarios(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Half-width of a factor on the tissue's stiffness [-]; on the arm alone."""
     delays: tuple[Annotated[int, msgspec.Meta(ge=1, le=2)], ...] = ()
     """Delays to choose from [samples]; none is the experiment's own. Margins are judged at the experiment's."""
-    cable_hz: tuple[Annotated[float, msgspec.Meta(gt=0.0, le=100.0)], ...] = ()
+    cable_hz: tuple[Annotated[float, msgspec.Meta(gt=0.0, le=300.0)], ...] = ()
     """Lowest and highest cable mode [Hz]; none is the experiment's own. On the arm alone."""
 
     def check(self, experiment: Experiment) -> None:
@@ -108,9 +108,9 @@ def scenarios(base: Experiment, settings: Scenarios, seeds: Sequence[int]) -> li
     return [scenario(base, settings, seed) for seed in seeds]
 
 
-def scene_over(experiments: Sequence[Experiment]) -> ScenarioData:
-    """Several scenarios of one experiment as one scene, each with axes of its own."""
-    return side_by_side([scenario_data(experiment) for experiment in experiments])
+def scene_over(experiments: Sequence[Experiment], swinging: bool = True) -> ScenarioData:
+    """Several scenarios of one experiment as one scene, each with axes of its own; rest as for `scenario_data`."""
+    return side_by_side([scenario_data(experiment, swinging) for experiment in experiments])
 
 
 def describe(experiment: Experiment) -> str:

@@ -8,25 +8,19 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.world.heart.bounds import Seed
 
 Count = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
-Level = Literal["frequency", "linear", "arm"]
-LEVELS: tuple[Level, ...] = ("frequency", "linear", "arm")
-"""From the coarsest and cheapest to the one that decides."""
 
 
 class TuneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The table [tune]."""
 
-    levels: tuple[Level, ...] = ()
-    """What proposes and what decides, in this order; the last must be the experiment's physics. None given: "linear"
-    for the linear world, all three for the arm."""
     steps: Count = 150
-    """Gradient steps on the first level at most, half of them with soft horizons; later levels, which begin at good
-    points, take a tenth of them each."""
+    """Gradient steps at most, half of them with soft horizons: on the linear loop, for the arm on the spectra."""
     orders: tuple[Annotated[int, msgspec.Meta(ge=1, le=3)], ...] = ()
-    """Disturbance orders of the active observer to compare on the first level, the best of which goes on; none given:
-    that of the parameters."""
+    """Disturbance orders of the active observer to compare by it, the best of which goes on; none given: as in the
+    parameters."""
     starts: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 8
-    """On the last level: the given parameters, and the best of many random ones or of the level before."""
+    """The given parameters and the best of many random ones; on the spectra eight times as many, and twice as many
+    controllers run on the arm side by side."""
     seed: Seed = 0
     """Draws the random starts."""
     train_seeds: tuple[Seed, ...] = (0, 1)
@@ -42,13 +36,8 @@ class TuneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     margin_points: Annotated[int, msgspec.Meta(ge=0, le=1000)] = 33
     """Stiffnesses, evenly spaced in their logarithm from the experiment's softest to its hardest, at which margins are
     judged besides the experiment's own."""
-    mapping: Annotated[int, msgspec.Meta(ge=0, le=1000)] = 24
-    """Rounds of space mapping on the last level, where spectra come first: what the runs measure corrects the spectra,
-    which propose what to run next; at most."""
-    rounds: Annotated[int, msgspec.Meta(ge=0, le=20)] = 0
-    """How often the worst of `searched` scenarios is sought, added to training and tuned for, at most."""
-    searched: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 64
-    """Scenarios among which it is sought."""
+    mapping: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 24
+    """Rounds of space mapping on the arm, at most: runs correct the spectra, which propose what to run next."""
     learning_rate: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.4
     """Step length of Adam, in units of the parameters' scales."""
     precision: Literal["float64", "float32"] = "float64"
@@ -56,11 +45,7 @@ class TuneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     diagonals: tuple[Literal["lam", "delta"], ...] = ()
     """Free parameters of which each diagonal entry is tuned by itself."""
 
-    def ladder(self, physics: str) -> tuple[Level, ...]:
-        """The levels of a job."""
-        return self.levels or (("linear",) if physics == "linear" else LEVELS)
-
-    def check(self, physics: str) -> None:
+    def check(self) -> None:
         """Refuse what contradicts itself.
 
         Raises:
@@ -87,8 +72,3 @@ class TuneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise InputError("tune.settle", self.settle, f"below duration (= {self.duration:g} s)", remedy)
         if len(set(self.orders)) < len(self.orders):
             raise InputError("tune.orders", list(self.orders), "without repetition", "Name each order once.")
-        ladder = self.ladder(physics)
-        last = "linear" if physics == "linear" else "arm"
-        if ladder[-1] != last or list(ladder) != sorted(set(ladder), key=LEVELS.index):
-            remedy = f'With experiment.physics = "{physics}" end with "{last}".'
-            raise InputError("tune.levels", list(ladder), f"in the order {list(LEVELS)}", remedy)

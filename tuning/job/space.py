@@ -7,6 +7,7 @@ that one learning rate suits a parameter with sixteen decades of room and one wi
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -97,7 +98,7 @@ class SearchSpace:
         whole = {name: jnp.round(values[name]) for name in HORIZONS}
         whole["Hu"] = jnp.minimum(whole["Hu"], whole["Hp"])
         values |= {name: jnp.where(width > 1.0, values[name], whole[name]) for name in HORIZONS}
-        return Params(**values, **{**self.base.structure, "guarded": False})
+        return replace(self.base, **values, guarded=False)
 
     def values(self, z: np.ndarray) -> np.ndarray:
         """Engineering values of vectors along the last dimension, horizons not rounded."""
@@ -126,7 +127,7 @@ class SearchSpace:
         """The controller that a vector stands for, horizons rounded, as plain arrays; guarded if the base is."""
         rounded = self.decode(jnp.asarray(z), 1.0)
         values: dict[str, Any] = {name: np.asarray(getattr(rounded, name)) for name in PARAMETERS}
-        return Params(**values, **self.base.structure)
+        return replace(self.base, **values)
 
 
 def axis_of(name: str, bounds: tuple[float, float] | None, diagonal: bool, order: int = 1) -> FreeParameter:

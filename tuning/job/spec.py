@@ -15,15 +15,18 @@ from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.sealed import digest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
-from jaxmpc.quantities import HORIZONS, MARGINS, PARAMETERS, Quantity
+from jaxmpc.quantities import HIGHEST_M_S, HORIZONS, MARGINS, PARAMETERS, Quantity
 from jaxmpc.synthesis.params import Params
 from tuning.job.goals import GOALS, MEASURED
+from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
-from tuning.job.settings import Level, TuneSettings
+from tuning.job.settings import TuneSettings
 from tuning.job.space import FREE, SearchSpace, axis_of
 
 Bounds = tuple[float, float]
+HARD = {"M_s": HIGHEST_M_S}
+"""What is held unless the job says otherwise."""
 SOFT = {"rms": 0.05}
 """What is minimised unless the job says otherwise [N]."""
 
@@ -45,8 +48,8 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     tune: TuneSettings = TuneSettings()
     free: Mapping[str, Bounds | None] = msgspec.field(default_factory=lambda: dict.fromkeys(FREE))
     """Free parameters and their bounds; None takes the default ones."""
-    goals: Mapping[str, float] = msgspec.field(default_factory=lambda: {"M_s": 2.0})
-    """Hard goals: limits that are held, of margins at every stiffness between the softest and the hardest."""
+    goals: Mapping[str, float] = msgspec.field(default_factory=lambda: dict(HARD))
+    """Hard goals as given: limits that are held, of margins at every stiffness between the softest and the hardest."""
     soft: Mapping[str, float] = msgspec.field(default_factory=lambda: dict(SOFT))
     """Soft goals: what is minimised, each relative to its limit."""
     ideal: bool = False
@@ -57,7 +60,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     """Limits of hard goals for which the front is wanted; empty for no front."""
 
     def __post_init__(self) -> None:
-        self.tune.check(self.experiment.physics)
+        self.tune.check()
         self.scenarios.check(self.experiment)
         _check_goals(self.goals, "goals", GOALS)
         _check_goals(self.soft, "goals.soft", MEASURED)
@@ -68,6 +71,9 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
                 _check_goals({name: limit}, "pareto", GOALS)
         if self.params.batch_shape:
             raise InputError("params", f"a batch {self.params.batch_shape}", "one controller", "Give one start point.")
+        if self.params.knots:
+            remedy = "A search moves one controller: tune each knot as one, at its stiffness, and put them together."
+            raise InputError("params.knots", f"{len(self.params.knots)} of them", "left out", remedy)
         if not self.free:
             raise InputError("tune.free", "empty", "at least one parameter", f"Free by default: {', '.join(FREE)}.")
         for name, bounds in self.free.items():
@@ -109,9 +115,9 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         return SearchSpace(self.params, axes)
 
     @property
-    def ladder(self) -> tuple[Level, ...]:
-        """The levels, the last of which decides."""
-        return self.tune.ladder(self.experiment.physics)
+    def on_arm(self) -> bool:
+        """Whether runs of the arm decide, which spectra propose; else those of the linear loop."""
+        return self.experiment.physics != "linear"
 
     @cached_property
     def judged_at(self) -> np.ndarray:
@@ -121,14 +127,24 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         return np.unique(np.concatenate([own, between]))
 
     @property
+    def implied(self) -> dict[str, float]:
+        """Hard goals that the robot's limits imply where none is given."""
+        return {name: limit for name, limit in implied_goals(self.experiment).items() if name not in self.goals}
+
+    @property
+    def held(self) -> dict[str, float]:
+        """All hard goals, those that are implied included."""
+        return {**self.goals, **self.implied}
+
+    @property
     def margin_goals(self) -> dict[str, float]:
         """Hard goals on margins, sorted as JAX sorts the keys of what it traces."""
-        return {name: self.goals[name] for name in sorted(self.goals) if name in MARGINS}
+        return {name: limit for name, limit in sorted(self.held.items()) if name in MARGINS}
 
     @property
     def hard_goals(self) -> dict[str, float]:
         """Hard goals on what the runs measure, sorted likewise."""
-        return {name: self.goals[name] for name in sorted(self.goals) if name in MEASURED}
+        return {name: limit for name, limit in sorted(self.held.items()) if name in MEASURED}
 
     @cached_property
     def digest(self) -> str:
@@ -143,7 +159,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             "params": self.params.to_dict(),
             "baseline": {**self.before.to_dict(), "compensation": self.baseline_compensation},
             "tune": {**msgspec.to_builtins(self.tune), "free": free},
-            "goals": {**self.goals, "ideal": self.ideal, "soft": dict(self.soft)},
+            "goals": {**self.held, "ideal": self.ideal, "soft": dict(self.soft)},
             "scenarios": msgspec.to_builtins(self.scenarios),
             "risk": msgspec.to_builtins(self.risk),
             "pareto": {name: list(limits) for name, limits in self.pareto.items()},
@@ -197,7 +213,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             baseline_compensation=share,
             tune=convert(tune, TuneSettings, "tune"),
             free=free,
-            goals=goals or {"M_s": 2.0},
+            goals=goals or dict(HARD),
             soft=soft,
             ideal=ideal,
             scenarios=convert(data.get("scenarios", {}), Scenarios, "scenarios"),

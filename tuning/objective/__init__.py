@@ -1,1 +1,1 @@
-"""What is minimised and held: a job on one level of fidelity as a function of unconstrained vectors."""
+"""What is minimised and held: a job as a function of unconstrained vectors."""

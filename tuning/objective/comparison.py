@@ -16,6 +16,7 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.synthesis.params import Params, by_structure
 from jaxmpc.terminal.progress import progress
 from jaxmpc.xla.once import JitOnce
+from tuning.job.goals import OVERSHOOT, run_goals
 from tuning.job.scenarios import scene_over
 from tuning.job.spec import TuneSpec
 
@@ -56,6 +57,21 @@ def versus(
         runs = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
     before, *each = (jax.tree.map(lambda field, i=i: field[i], runs) for i in range(1 + len(candidates)))
     return before, each
+
+
+def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> np.ndarray:
+    """Largest soft goal of the runs per scenario [-]; ∞ where a run was lost.
+
+    Args:
+        spec: The job.
+        after: Of the controller to judge, each field (scenarios, stiffness, 3).
+        before: Of the controller before tuning, the same.
+    """
+    asked = {name: limit for name, limit in spec.soft.items() if name != OVERSHOOT} or {"rms": 1.0}
+    swapped, reference = jax.tree.map(lambda field: np.swapaxes(field, 0, 1), (after, before))
+    goals = run_goals(swapped, reference, None, asked)
+    largest: np.ndarray = np.max([np.asarray(goal).max(axis=(0, 2)) for goal in goals.values()], axis=0)
+    return np.where(np.isnan(largest), np.inf, largest)
 
 
 def _compare(batch: Params, experiments: Sequence[Experiment], show: bool) -> Metrics:

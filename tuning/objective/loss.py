@@ -162,13 +162,13 @@ def value_alone(z: Float[Array, "starts size"], data: Data, width: Any, structur
 
 
 def visible_goals(goals: Mapping[str, Any], data: Data) -> tuple[str, ...]:
-    """The goals on the runs that a level can see: without time there are no peaks, only mean squares."""
+    """The goals on the runs that can be seen: without time there are no peaks, only mean squares."""
     blind = data.spectra is not None and data.correction is None
     return tuple(name for name in goals if not (blind and name in RUN_GOALS and not RUN_GOALS[name].metric.spectral))
 
 
 def visible_soft(data: Data) -> dict[str, Any]:
-    """Limits of the soft goals that a level sees; where it would see no residual, the RMS stands in for the others."""
+    """Limits of the soft goals that can be seen; where no residual would be, the RMS stands in for the others."""
     found = {name: data.soft[name] for name in visible_goals(data.soft, data)}
     if any(name in RUN_GOALS and RUN_GOALS[name].metric.name == "rms" for name in found):
         return found

@@ -10,13 +10,14 @@ from jaxtyping import Array, Float
 
 from jaxmpc.closed_loops import ClosedLoops, close_loops, contacts_of, margins_of, per_motion, run_loops
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import HP_MAX, METRICS
 from jaxmpc.spectra.effort import chatter_rms, effort_rms
 from jaxmpc.spectra.residual import residual_rms
 from jaxmpc.spectra.spectrum import Spectrum
+from jaxmpc.spectra.true_force import swing_rms, true_rms
 from jaxmpc.stability import Margins
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
@@ -24,7 +25,13 @@ from jaxmpc.world.loop_path import LoopPath
 from tuning.job.risk import Risk
 from tuning.job.space import FreeParameter
 
-SPECTRAL = {"rms": residual_rms, "effort": effort_rms, "chatter": chatter_rms}
+SPECTRAL = {
+    "rms": residual_rms,
+    "true_rms": true_rms,
+    "effort": effort_rms,
+    "chatter": chatter_rms,
+    "swing": swing_rms,
+}
 """Metrics that a frequency response and a spectrum give."""
 STEP_SAMPLES = 512
 """Length of the step response in which the overshoot is looked for [samples]."""
@@ -46,8 +53,8 @@ class Data(NamedTuple):
     spectra: Any
     """Spectra of the scenarios, stacked: then no time is stepped. Else None."""
     correction: Metrics | None
-    """Factors on what the spectra say, (starts, stiffness, scenarios, 3); on the RMS for what they do not see. None
-    corrects nothing."""
+    """Factors on what the spectra say, (starts, stiffness, scenarios, 3); for what they do not see, on the metric that
+    it follows. None corrects nothing."""
     base: Params
     """Values of what is frozen."""
     margins: Mapping[str, Any]
@@ -73,7 +80,7 @@ def judged_margins(loops: ClosedLoops, data: Data) -> Margins:
 def cells_of(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> Metrics:
     """What is measured of every controller, (starts, stiffness, scenarios, 3); traceable.
 
-    From spectra it is residual RMS, effort and chatter; the peaks are NaN, or with a correction a multiple of the RMS.
+    From spectra it is what `SPECTRAL` has; the rest is NaN, or with a correction a multiple of the RMS.
     """
     if data.spectra is None:
         run = run_loops(loops, data.scene, world=structure.world, dtype=structure.precision)
@@ -89,13 +96,14 @@ def cells_of(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> Met
     seen: Metrics = jax.vmap(over_tissues, in_axes=(0, 0, None))(loops.gains, loops.contacts, data.spectra)
     if data.correction is None:
         return seen
-    corrected: Metrics = jax.tree.map(jnp.multiply, following_rms(seen), data.correction)
+    corrected: Metrics = jax.tree.map(jnp.multiply, with_stand_ins(seen), data.correction)
     return corrected
 
 
-def following_rms(spectral: Metrics) -> Metrics:
-    """What spectra tell of a loop, the residual's RMS in place of every metric that they do not."""
-    return spectral._replace(**{name: spectral.rms for name, metric in METRICS.items() if not metric.spectral})
+def with_stand_ins(spectral: Metrics) -> Metrics:
+    """What spectra tell of a loop, and in place of every metric that they do not the one that it follows."""
+    others = {name: getattr(spectral, row.follows) for name, row in METRICS.items() if not row.spectral}
+    return spectral._replace(**others)
 
 
 def overshoot_of(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> Float[Array, "starts stiffness"]:

@@ -1,4 +1,4 @@
-"""A job on one level of fidelity and one set of scenarios, as a function of all starts."""
+"""A job on one set of scenarios as a function of all starts: by runs, which decide, or by spectra, which propose."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -10,22 +10,19 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
-from jaxmpc.engine.base import ScenarioData
-from jaxmpc.engine.scenario import program_spec, scenario_data, side_by_side
+from jaxmpc.engine.scenario import program_spec
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
-from jaxmpc.spectra.input_disturbance import uncompensated_acceleration
 from jaxmpc.spectra.spectrum import spectrum_of
 from jaxmpc.xla.blocks import OverDevices
 from tuning.job.goals import RATIO, RUN_GOALS
 from tuning.job.scenarios import scenarios, scene_over
-from tuning.job.settings import Level
 from tuning.job.spec import TuneSpec
 from tuning.objective.loss import Values, value_alone, value_and_gradient, visible_goals, visible_soft
 from tuning.objective.measures import Data, ProblemStructure, measure
 
 COARSER = 3
-"""A level that only proposes judges margins at one in so many stiffnesses."""
+"""Spectra, which only propose, judge margins at one in so many stiffnesses."""
 
 
 class Problem(NamedTuple):
@@ -58,12 +55,12 @@ class Problem(NamedTuple):
 
     @property
     def soft_goals(self) -> tuple[str, ...]:
-        """Those that this level can see, and its stand-ins for others."""
+        """Those that can be seen, and stand-ins for others."""
         return tuple(visible_soft(self.data))
 
     @property
     def hard_goals(self) -> tuple[str, ...]:
-        """Those on the runs that this level can see."""
+        """Those on the runs that can be seen."""
         return visible_goals(self.data.hard, self.data)
 
     def with_limits(self, limits: Mapping[str, np.ndarray]) -> "Problem":
@@ -92,19 +89,20 @@ def training(spec: TuneSpec, seeds: Sequence[int]) -> list[Experiment]:
     return scenarios(base, spec.scenarios, seeds)
 
 
-def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Problem:
-    """A job on one level.
+def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False) -> Problem:
+    """A job as a function of all starts.
 
     Args:
         spec: The job.
-        level: The level.
         met: The scenarios.
+        spectral: Whether spectra of the scenarios tell of the linear loop what they can, and nothing runs.
     """
-    scene, spectra = _seen(level, met)
+    swinging = any(name in RUN_GOALS and RUN_GOALS[name].metric.name == "swing" for name in {**spec.soft, **spec.held})
+    scene, spectra = _seen(met, spectral, swinging)
     # Scenarios may differ in delay; the linear loop has the experiment's, as the margins do.
     scene = scene._replace(path=replace(scene.path, delay=float(spec.experiment.delay)))
-    experiment = met[0] if level == "arm" else msgspec.structs.replace(met[0], physics="linear")
-    structure = ProblemStructure(spec.space.axes, program_spec(experiment), spec.tune.precision, spec.risk)
+    world = program_spec(_linear(met[0]) if spectral else met[0])
+    structure = ProblemStructure(spec.space.axes, world, spec.tune.precision, spec.risk)
     cells = (len(scene.stiffness), len(met), 3)
     data = Data(
         scene=scene,
@@ -115,14 +113,14 @@ def problem_of(spec: TuneSpec, level: Level, met: Sequence[Experiment]) -> Probl
         hard=spec.hard_goals,
         soft=dict(spec.soft),
         judged=spec.experiment.loop_path(spec.ideal),
-        judged_at=spec.judged_at if level == spec.ladder[-1] else coarser(spec),
+        judged_at=coarser(spec) if spectral else spec.judged_at,
         reference=Metrics(**dict.fromkeys(Metrics._fields, jnp.ones(cells))),
     )
     data = jax.tree.map(jnp.asarray, data)
     if any(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in {**spec.soft, **spec.goals}):
         old = spec.met_before(met)
-        scene, spectra = jax.tree.map(jnp.asarray, _seen(level, old))
-        world = program_spec(old[0]) if level == "arm" else structure.world
+        scene, spectra = jax.tree.map(jnp.asarray, _seen(old, spectral, swinging))
+        world = structure.world if spectral else program_spec(old[0])
         seen_before = data._replace(scene=scene, spectra=spectra)
         data = data._replace(reference=measure(spec.before, seen_before, structure._replace(world=world)))
     return Problem(data, structure)
@@ -133,19 +131,13 @@ def coarser(spec: TuneSpec) -> np.ndarray:
     return np.unique(np.concatenate([spec.experiment.stiffness, spec.judged_at[::COARSER]]))
 
 
-def _seen(level: Level, met: Sequence[Experiment]) -> tuple[Any, Any]:
-    """What a level knows of the scenarios: a scene, and on the frequency level their spectra."""
-    if level == "arm" or met[0].physics == "linear":
-        return scene_over(met), None
-    if level == "frequency":
-        spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, met))
-        return scene_over([msgspec.structs.replace(met[0], physics="linear")]), spectra
-    return side_by_side([_with_friction(one) for one in met]), None
+def _seen(met: Sequence[Experiment], spectral: bool, swinging: bool) -> tuple[Any, Any]:
+    """A scene, and the spectra of the scenarios if they are all that is known of them."""
+    if not spectral:
+        return scene_over(met, swinging), None
+    spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, met))
+    return scene_over([_linear(met[0])], False), spectra
 
 
-def _with_friction(experiment: Experiment) -> ScenarioData:
-    """The linear world with what friction and model error do to the tip of an arm that follows the heart."""
-    scene: Any = scenario_data(msgspec.structs.replace(experiment, physics="linear"))
-    acceleration = jnp.asarray(uncompensated_acceleration(experiment).T)
-    linear: ScenarioData = scene._replace(signals=scene.signals._replace(acceleration=acceleration))
-    return linear
+def _linear(experiment: Experiment) -> Experiment:
+    return msgspec.structs.replace(experiment, physics="linear")

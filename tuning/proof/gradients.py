@@ -19,6 +19,8 @@ from jaxtyping import Float
 from tuning.job.goals import GOALS
 from tuning.objective.loss import PENALTY, Values
 from tuning.objective.problem import Problem
+from tuning.proof.result import TuneResult
+from tuning.search.mapping import corrected_at
 
 FACTOR = 1e3
 """By so much a limit is moved to be out of reach, or in the reach of everybody."""
@@ -36,8 +38,14 @@ class Slope(NamedTuple):
     """Its values at the other vectors."""
 
 
+def sloped(result: TuneResult, z: np.ndarray) -> Problem:
+    """The job, with slopes, at a vector that the last step has seen: by runs, or by spectra as a run corrects them."""
+    step = result.steps[-1]
+    return step.problem if step.spectra is None else corrected_at(step.spectra, step.state.memory, z)
+
+
 def slopes(problem: Problem, z: np.ndarray, starts: int, others: np.ndarray | None = None) -> dict[str, Slope]:
-    """The score under `SCORE`, and every hard goal that the level sees, of one vector.
+    """The score under `SCORE`, and every hard goal that the problem sees, of one vector.
 
     Args:
         problem: Its margins are judged on one tissue (`judged_on`, `on_tissue`).
@@ -92,8 +100,15 @@ def on_tissue(problem: Problem, which: int) -> Problem:
     def alone(per_tissue: jax.Array) -> jax.Array:
         return jnp.broadcast_to(per_tissue[which], per_tissue.shape)
 
+    def factors_alone(per_row: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(per_row[:, which : which + 1], per_row.shape)
+
     scene = data.scene._replace(stiffness=alone(data.scene.stiffness))
-    data = data._replace(scene=scene, reference=jax.tree.map(alone, data.reference))
+    data = data._replace(
+        scene=scene,
+        reference=jax.tree.map(alone, data.reference),
+        correction=jax.tree.map(factors_alone, data.correction),
+    )
     return judged_on(problem._replace(data=data), float(scene.stiffness[0]))
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from jaxmpc.xla.precision import in_float64
 from tuning.job.goals import margin_goals
-from tuning.proof.gradients import SCORE, Slope, judged_on, slopes
+from tuning.proof.gradients import SCORE, Slope, judged_on, sloped, slopes
 from tuning.proof.result import TuneResult
 from tuning.proof.sensitivities import vector_of
 
@@ -55,14 +55,14 @@ class LimitStudy(NamedTuple):
 @in_float64
 def limits(result: TuneResult) -> LimitStudy:
     """Active goals of the tuned controller, with multipliers from exact gradients."""
-    z, last, first = vector_of(result), result.steps[-1], result.steps[0]
-    runs = slopes(last.problem, z, len(last.state.z))
+    z, starts = vector_of(result), len(result.state.z)
+    problem = sloped(result, z)
+    runs = slopes(problem, z, starts)
     held: list[tuple[Active, Slope]] = []
     for name, K_s, normalised in active_margins(result):
-        # Margins are the same on every level, and cheapest on the first.
-        slope = slopes(judged_on(first.problem, K_s), z, len(first.state.z))[name]
+        slope = slopes(judged_on(problem, K_s), z, starts)[name]
         held.append((Active(name, K_s, normalised, np.nan), slope))
-    for name in last.problem.hard_goals:
+    for name in problem.hard_goals:
         if runs[name].value > ACTIVE:
             held.append((Active(name, None, runs[name].value, np.nan), runs[name]))
     goals, downhill = [goal for goal, _ in held], -runs[SCORE].gradient

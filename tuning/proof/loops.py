@@ -9,7 +9,7 @@ from jaxtyping import Complex, Float
 from jaxmpc import design
 from jaxmpc.experiment import Experiment
 from jaxmpc.law import cascade
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis.params import Params

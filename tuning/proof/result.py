@@ -13,10 +13,10 @@ from jaxmpc.synthesis.params import Params
 from tuning.job.goals import GOALS, margin_goals
 from tuning.job.scenarios import scenarios
 from tuning.job.spec import TuneSpec
-from tuning.objective.comparison import versus
-from tuning.search.multifidelity import LevelHistory, Step
+from tuning.objective.comparison import standing_of, versus
+from tuning.proof.flyable import refusal
+from tuning.search.run import SearchHistory, Step
 from tuning.search.state import FEASIBLE, SearchState
-from tuning.search.worst_case import standing_of
 
 KINDS = {"as run": False, "ideal": True}
 """Names of the two kinds of margins, and whether the damping is ideal."""
@@ -38,13 +38,20 @@ class TuneResult:
     margins: dict[str, Margins]
     """"as run" and "ideal", each field (2, judged_at)."""
     steps: list[Step]
-    """Every level and round."""
+    """The descent, and on the arm the rounds of space mapping."""
     orders: dict[int, float]
-    """Score of each disturbance order on the first level [-]."""
+    """Score of each disturbance order after its descent [-]."""
+    refused: str = ""
+    """Why freezing refuses it; "" where it accepts, and for jobs that are not for a robot."""
+
+    @property
+    def met(self) -> bool:
+        """Whether it holds every hard goal, and freezing accepts it where it is for a robot."""
+        return self.feasible and not self.refused
 
     @property
     def state(self) -> SearchState:
-        """Histories of the last descent."""
+        """Histories of the last step."""
         return self.steps[-1].state
 
     @property
@@ -56,7 +63,11 @@ class TuneResult:
     @property
     def worst(self) -> tuple[float, float]:
         """Worst held-out residual RMS over scenario, stiffness and axis, before and after; NaN where unstable [N]."""
-        before, after = map(float, self.heldout.rms.max(axis=(1, 2, 3)))
+        return self.worst_of("rms")
+
+    def worst_of(self, metric: str) -> tuple[float, float]:
+        """The same of any metric."""
+        before, after = map(float, getattr(self.heldout, metric).max(axis=(1, 2, 3)))
         return before, after
 
     @property
@@ -72,14 +83,14 @@ class TuneResult:
         hold are left out.
         """
         before, after = getattr(self.heldout, metric)[:, self.held[0]]
-        power = 2.0 if metric == "rms" else 1.0
+        power = 2.0 if metric in ("rms", "true_rms") else 1.0
         now, then = np.mean(after**power, axis=0), np.mean(before**power, axis=0)
         # What was nothing and stays nothing, such as the clamped share of the linear loop, has not fallen.
         ratio: np.ndarray = np.divide(now, then, out=np.where(now > 0.0, np.inf, 1.0), where=then != 0.0)
         return 1.0 - ratio ** (1.0 / power)
 
     def unmet(self) -> str:
-        """Which goal is missed, on which tissue and by how much, of the point that came closest; "" if all are met."""
+        """Which goal the closest point misses, where and by how much, or why freezing refuses it; "" if all are met."""
         judged: Any = Margins(*(field[1] for field in self.margins["ideal" if self.spec.ideal else "as run"]))
         stiffness = self.spec.judged_at
         unstable = np.asarray(judged.spectral_radius) >= 1.0
@@ -95,8 +106,8 @@ class TuneResult:
         worst |= dict(zip(step.problem.hard_goals, map(float, runs), strict=True))
         name = max(worst, key=lambda goal: worst[goal], default="")
         if not name or worst[name] <= FEASIBLE:
-            return ""
-        goal, limit = GOALS[name], self.spec.goals[name]
+            return f"it may not fly: freeze refuses {self.refused}" if self.refused else ""
+        goal, limit = GOALS[name], self.spec.held[name]
         found = limit * worst[name] if goal.ceiling else limit / worst[name]
         where = ""
         if name in limits:
@@ -111,13 +122,11 @@ class TuneResult:
         )
 
 
-def assess(history: LevelHistory, show: bool = False) -> TuneResult:
+def assess(history: SearchHistory, show: bool = False) -> TuneResult:
     """Choose among the starts on the validation scenarios, then compare with the controller before on held-out ones."""
     spec, state = history.spec, history.steps[-1].state
-    chosen = state.leader_z
-    if state.feasible and spec.tune.validation_seeds:
-        chosen = _validated(spec, state, show)
-    params = spec.space.exact(chosen)
+    candidates = _ranked(spec, state, show) if state.feasible else [spec.space.exact(state.leader_z)]
+    params, refused = _first_to_fly(spec, candidates) if state.feasible else (candidates[0], "")
     met = scenarios(spec.experiment, spec.scenarios, spec.tune.heldout_seeds)
     before, (after,) = versus(spec, [params], met, show)
     runs: Metrics = jax.tree.map(lambda *fields: np.stack(fields), before, after)
@@ -125,14 +134,26 @@ def assess(history: LevelHistory, show: bool = False) -> TuneResult:
     for name, ideal in KINDS.items():
         both = [margins(p, spec.judged_at, path=spec.experiment.loop_path(ideal)) for p in (spec.before, params)]
         found[name] = jax.tree.map(lambda *fields: np.stack(fields), *both)
-    return TuneResult(spec, params, state.feasible, runs, found, history.steps, history.orders)
+    return TuneResult(spec, params, state.feasible, runs, found, history.steps, history.orders, refused)
 
 
-def _validated(spec: TuneSpec, state: SearchState, show: bool) -> np.ndarray:
-    """The best of the starts' vectors on scenarios that none has seen."""
-    met = scenarios(spec.experiment, spec.scenarios, spec.tune.validation_seeds)
-    candidates = state.best_z[np.isfinite(state.best)]
-    before, each = versus(spec, [*map(spec.space.exact, candidates)], met, show)
-    values = [standing_of(spec, one, before) for one in each]
-    best: np.ndarray = candidates[int(np.argmin(np.max(values, axis=1)))]
-    return best
+def _ranked(spec: TuneSpec, state: SearchState, show: bool) -> list[Params]:
+    """The best controller of each start, the best first: on the validation scenarios, or without any in training."""
+    order = np.argsort(state.best, kind="stable")[: min(spec.tune.starts, np.isfinite(state.best).sum())]
+    candidates, value = [*map(spec.space.exact, state.best_z[order])], state.best[order]
+    if spec.tune.validation_seeds:
+        met = scenarios(spec.experiment, spec.scenarios, spec.tune.validation_seeds)
+        before, each = versus(spec, candidates, met, show)
+        value = np.array([np.max(standing_of(spec, one, before)) for one in each])
+    return [candidates[i] for i in np.argsort(value, kind="stable")]
+
+
+def _first_to_fly(spec: TuneSpec, candidates: list[Params]) -> tuple[Params, str]:
+    """The best that freezing accepts; else the very best, and why it is refused."""
+    first = ""
+    for params in candidates:
+        refused = refusal(spec, params)
+        if not refused:
+            return params, ""
+        first = first or refused
+    return candidates[0], first

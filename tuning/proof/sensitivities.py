@@ -10,17 +10,14 @@ from jaxtyping import Float
 
 from jaxmpc.quantities import HORIZONS
 from jaxmpc.xla.precision import in_float64
-from tuning.job.settings import Level
 from tuning.job.space import SearchSpace
-from tuning.proof.gradients import SCORE, Slope, on_tissue, slopes
+from tuning.proof.gradients import SCORE, Slope, on_tissue, sloped, slopes
 from tuning.proof.result import TuneResult
 
 
 class Sensitivities(NamedTuple):
     """Sensitivities of the tuned controller, on each tissue as if there were no other."""
 
-    level: Level
-    """Where they are taken: the last one."""
     metrics: tuple[str, ...]
     """The score, and the margins that are hard goals."""
     parameters: tuple[str, ...]
@@ -33,22 +30,22 @@ class Sensitivities(NamedTuple):
 
 @in_float64
 def sensitivities(result: TuneResult) -> Sensitivities:
-    """Exact gradients by the last level's own program; see `tuning.proof.gradients`."""
-    step, space = result.steps[-1], result.spec.space
-    z = vector_of(result)
+    """Exact gradients of the loop, on the arm of its corrected spectra; see `tuning.proof.gradients`."""
+    space, z = result.spec.space, vector_of(result)
+    problem = sloped(result, z)
     beside, apart = _beside(space, z)
     metrics = (SCORE, *result.spec.margin_goals)
     tissues = range(len(result.spec.experiment.stiffness))
-    found = [slopes(on_tissue(step.problem, i), z, len(step.state.z), beside) for i in tissues]
+    found = [slopes(on_tissue(problem, i), z, len(result.state.z), beside) for i in tissues]
     values = np.array([[tissue[name].value for tissue in found] for name in metrics])
     per_unit = log_slopes(space, z)
     rows = [[_per_parameter(space, tissue[name], per_unit, apart) for tissue in found] for name in metrics]
     names = tuple(axis.name for axis in space.axes)
-    return Sensitivities(step.level, metrics, names, values, np.moveaxis(np.array(rows), 1, 2))
+    return Sensitivities(metrics, names, values, np.moveaxis(np.array(rows), 1, 2))
 
 
 def vector_of(result: TuneResult) -> Float[np.ndarray, " size"]:
-    """The vector that the tuned controller stands for, among those that the last descent has kept."""
+    """The vector that the tuned controller stands for, among those that the last step has kept."""
     state, space = result.state, result.spec.space
     kept = np.concatenate([state.best_z[np.isfinite(state.best)], state.closest_z])
     wanted = [np.broadcast_to(getattr(result.params, axis.name), axis.size) for axis in space.axes]

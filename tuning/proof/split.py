@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmpc import design
-from jaxmpc.law.cascade import Gains
+from jaxmpc.law.gains import Gains
 from jaxmpc.spectra.residual import Parts, residual_parts, residual_rms
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
 from jaxmpc.stability.loop import contact_of

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmpc.experiment import AXES
-from tuning.proof.agreement import Agreement, agreement
 from tuning.proof.gradients import SCORE
 from tuning.proof.limits import RELAXED, LimitStudy, limits
 from tuning.proof.loops import Curves, curves
@@ -15,7 +14,7 @@ from tuning.proof.result import TuneResult
 from tuning.proof.sensitivities import Sensitivities, sensitivities
 from tuning.proof.split import CAUSES, Split, split
 from tuning.reports.html import Html, note, picture, section, table, tag
-from tuning.reports.study_figures import agreement_figure, sensitivities_figure, split_figure
+from tuning.reports.study_figures import sensitivities_figure, split_figure
 from tuning.search.state import FEASIBLE
 
 
@@ -26,7 +25,6 @@ class Study(NamedTuple):
     """Before and after."""
     sensitivities: Sensitivities
     split: Split
-    agreement: Agreement | None
     limits: LimitStudy
 
 
@@ -34,17 +32,16 @@ def study(result: TuneResult) -> Study:
     """Everything in the report that the run itself has not computed."""
     spec = result.spec
     before, after = (curves(params, spec.experiment, spec.ideal) for params in (spec.before, result.params))
-    return Study((before, after), sensitivities(result), split(result), agreement(result), limits(result))
+    return Study((before, after), sensitivities(result), split(result), limits(result))
 
 
 def explained(result: TuneResult, found: Study) -> list[Html]:
     """Sections of the page."""
-    sections = [
+    return [
         section("What limits it", *(tag("p", line) for line in limits_text(result, found))),
         _split(result, found.split),
         _sensitivities(result, found.sensitivities),
     ]
-    return [*sections, _agreement(result, found.agreement)] if found.agreement else sections
 
 
 def limits_text(result: TuneResult, found: Study) -> Iterator[str]:
@@ -107,27 +104,16 @@ def _sensitivities(result: TuneResult, found: Sensitivities) -> Html:
         for k, metric in enumerate(found.metrics)
         for i, (K_s, value) in enumerate(zip(stiffness, found.values[k], strict=True))
     ]
+    of = "the spectra as a run of the arm corrects them" if result.spec.on_arm else "the loop"
     words = (
         f"Change of each metric in per cent per per cent of a parameter, of the tuned controller on each tissue alone: "
-        f"exact gradients on the level “{found.level}”. The {SCORE} stands for the soft goals "
+        f"exact gradients of {of}. The {SCORE} stands for the soft goals "
         f"({', '.join(result.spec.soft)}; worst axis and scenario), margins are relative to their limits. Horizons are "
         "whole, so theirs is the change over a sample to either side."
     )
     figure = picture(partial(sensitivities_figure, result, found))
     return section(
         "Sensitivity to the parameters", figure, note(words), table(("metric", "value", *found.parameters), lines)
-    )
-
-
-def _agreement(result: TuneResult, found: Agreement) -> Html:
-    lines = [[f"{p.coarse} – {p.fine}", f"{p.rank:.3f}", f"{p.ratio:.3f}"] for p in found.pairs]
-    words = (
-        f"The same {found.score.shape[1]} points, the best starts of every level and round, judged on each level. A "
-        "level that only proposes must rank them alike; its numbers may differ."
-    )
-    head = ("levels", "rank correlation of the score (Spearman)", "ratio of the worst RMS (median)")
-    return section(
-        "Agreement of the levels", picture(partial(agreement_figure, result, found)), table(head, lines), note(words)
     )
 
 

@@ -10,7 +10,7 @@ from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 from tuning.proof.reached import kept
 from tuning.proof.result import TuneResult
-from tuning.search.multifidelity import Step
+from tuning.search.run import Step
 from tuning.search.state import FEASIBLE, SearchState
 
 HINT = "hint: "
@@ -27,12 +27,12 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
     Args:
         result: What `tune` returned.
         path: Where the figure goes.
-        step: One of its levels or rounds; None is the last.
+        step: One of its steps; None is the last.
     """
     step = step or result.steps[-1]
-    state, space = step.state, result.spec.space
+    state, space, descent = step.state, result.spec.space, step.spectra is None
     iterations = state.iteration
-    chosen = np.full(iterations, state.leader) if step.descent else best_of_each_iteration(state)
+    chosen = np.full(iterations, state.leader) if descent else best_of_each_iteration(state)
     values = space.values(state.path[:iterations])
     ends = np.cumsum([axis.size for axis in space.axes])
     goals = [*result.spec.margin_goals, *step.problem.hard_goals]
@@ -43,12 +43,12 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
         panels = iter(np.ravel(axes))
         for title, lines in (("score", state.score), ("worst residual RMS [mN]", 1e3 * state.worst)):
             panel = next(panels)
-            _lines(panel, lines[:iterations], chosen, title, step.descent)
+            _lines(panel, lines[:iterations], chosen, title, descent)
             logarithmic(panel)
         for i, name in enumerate(goals):
             panel = next(panels)
             lines = np.where(np.isfinite(state.hard[:iterations, :, i]), state.hard[:iterations, :, i], np.nan)
-            _lines(panel, lines, chosen, f"{name} / limit", step.descent)
+            _lines(panel, lines, chosen, f"{name} / limit", descent)
             panel.axhline(1.0, color=ACCENT, lw=1.0, ls="--", label="limit")
             panel.set_ylim(0.0, 3.0)
             panel.legend()
@@ -57,7 +57,7 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
             entries = values[:, :, end - axis.size : end]
             name = f"{axis.name}, geometric mean" if axis.length else axis.name
             title = f"{name} [{PARAMETERS[axis.name].unit}]"
-            _lines(panel, np.exp(np.mean(np.log(entries), axis=2)), chosen, title, step.descent)
+            _lines(panel, np.exp(np.mean(np.log(entries), axis=2)), chosen, title, descent)
             if axis.name not in HORIZONS:
                 logarithmic(panel)
         for panel in panels:

@@ -19,13 +19,13 @@ from tuning.reports.text import report
 
 
 def write(result: TuneResult, folder: Path) -> list[Path]:
-    """Write params.toml (if feasible), history.npz, report.txt, the figures and report.html.
+    """Write params.toml (if every goal is met), history.npz, report.txt, the figures and report.html.
 
     Returns:
         The files written.
     """
     written = []
-    if result.feasible:
+    if result.met:
         written.append(folder / "params.toml")
         experiment = result.spec.experiment.name
         comment = f"Tuned by jaxmpc. Freeze it: jaxmpc freeze params.toml --experiment {experiment} -o controller.npz"
@@ -61,8 +61,7 @@ def provenance(result: TuneResult) -> dict[str, Any]:
         "train_seeds": list(spec.tune.train_seeds),
         "validation_seeds": list(spec.tune.validation_seeds),
         "heldout_seeds": list(spec.tune.heldout_seeds),
-        "added_seeds": [step.added.trained.motion.seed for step in result.steps if step.added],
-        "goals": {**spec.goals, "ideal": spec.ideal, "soft": dict(spec.soft)},
+        "goals": {**spec.held, "ideal": spec.ideal, "soft": dict(spec.soft)},
         "stiffness": [float(K_s) for K_s in spec.judged_at],
         "M_s_as_run": peaks["as run"],
         "M_s_ideal": peaks["ideal"],
@@ -72,7 +71,7 @@ def provenance(result: TuneResult) -> dict[str, Any]:
 
 
 def history(result: TuneResult) -> bytes:
-    """Every descent as sealed arrays, up to its last iteration: engineering values of every iteration and start."""
+    """Every step as sealed arrays, up to its last iteration: engineering values of every iteration and start."""
     space = result.spec.space
     arrays: dict[str, np.ndarray] = {f"heldout_{name}": field for name, field in result.heldout._asdict().items()}
     for step in result.steps:

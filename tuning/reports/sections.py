@@ -8,7 +8,6 @@ import numpy as np
 from jaxmpc.experiment import AXES
 from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Metric
 from jaxmpc.synthesis.params import STRUCTURE
-from tuning.job.scenarios import describe
 from tuning.proof.limits import active_margins
 from tuning.proof.reached import kept, rows, verdict
 from tuning.proof.result import KINDS, TuneResult
@@ -34,9 +33,12 @@ class Section(NamedTuple):
 
 def summary(result: TuneResult) -> tuple[str, str]:
     """How it stands to its goals, and what became of the worst residual."""
-    rms, (before, after) = METRICS["rms"], result.worst
-    change = f" ({-100 * result.gain:+.1f} %)" if np.isfinite(result.gain) else ""
-    return verdict(result), f"worst held-out {rms.heading}: {_entry(rms, before)} → {_entry(rms, after)}{change}"
+    words = []
+    for name in ("rms", "true_rms"):
+        metric, (before, after) = METRICS[name], result.worst_of(name)
+        change = f" ({100 * (after / before - 1.0):+.1f} %)" if np.isfinite(after / before) else ""
+        words.append(f"{metric.heading}: {_entry(metric, before)} → {_entry(metric, after)}{change}")
+    return verdict(result), f"worst held-out {', '.join(words)}"
 
 
 def sections(result: TuneResult) -> list[Section]:
@@ -82,6 +84,8 @@ def _goals(result: TuneResult) -> Section:
         f"scenarios. Hard goals are held, soft ones minimised: {spec.risk.kind} over {len(spec.tune.train_seeds)} "
         "scenarios in training."
     )
+    if spec.implied:
+        words += " Implied ones are not in the job: the robot's limits demand them."
     return Section("Goals", [words], [Table(("goal", "before", "after", "met", "worst at K_s [N/m]"), lines)])
 
 
@@ -99,19 +103,15 @@ def _parameters(result: TuneResult) -> Section:
     lines += [[name, *(str(params.structure[name]) for params in both), "", ""] for name in STRUCTURE]
     if len(result.orders) > 1:
         scores = ", ".join(f"{order} {score:.4g}" for order, score in result.orders.items())
-        sentences.append(f"Best score of each disturbance order on the first level: {scores}.")
+        sentences.append(f"Best score of each disturbance order after its descent: {scores}.")
     return Section("Parameters", sentences, [Table(("parameter", "before", "after", "unit", "bounds"), lines), *tables])
 
 
 def _scenarios(result: TuneResult) -> Section:
-    tune, added = result.spec.tune, [(step.name, step.added) for step in result.steps if step.added]
+    tune = result.spec.tune
     used = {"training": tune.train_seeds, "validation": tune.validation_seeds, "held out": tune.heldout_seeds}
     lines = [[what, _spans(seeds)] for what, seeds in used.items()]
-    lines.append(["added by the worst-case search", _spans([one.trained.motion.seed for _, one in added])])
-    found = [
-        f"{name}: {describe(one.trained)}; soft goal {one.value:.3g}, {one.known:.3g} known." for name, one in added
-    ]
-    return Section("Scenarios", found, [Table(("used for", "seeds"), lines)])
+    return Section("Scenarios", [], [Table(("used for", "seeds"), lines)])
 
 
 def _robustness(result: TuneResult) -> Section:

@@ -1,4 +1,4 @@
-"""Pictures that explain a result: the residual by its causes, by the parameters, and how well the levels agree."""
+"""Pictures that explain a result: the residual by its causes and by the parameters."""
 
 from pathlib import Path
 
@@ -6,11 +6,10 @@ import numpy as np
 
 from jaxmpc.experiment import AXES
 from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
-from tuning.proof.agreement import Agreement
 from tuning.proof.result import TuneResult
 from tuning.proof.sensitivities import Sensitivities
 from tuning.proof.split import Split
-from tuning.reports.figures import HINT, logarithmic
+from tuning.reports.figures import HINT
 
 PARTS = (("motion", TUNED), ("friction", ACCENT), ("noise", BASELINE))
 FADED = 0.45
@@ -79,25 +78,3 @@ def sensitivities_figure(result: TuneResult, found: Sensitivities, path: Path) -
             panel.invert_yaxis()
             panel.set_title(name)
             panel.set_xlabel("stiffness [N/m]")
-
-
-def agreement_figure(result: TuneResult, found: Agreement, path: Path) -> None:
-    """Scores of the same points on every two levels; arguments as above."""
-    pairs = found.pairs
-    colors = (BASELINE, TUNED, ACCENT, "#e09f3e", "#6a4c93")
-    with figure(path, 1, len(pairs), size=(3.2 * len(pairs), 3.1)) as axes:
-        for panel, pair in zip(np.ravel(axes), pairs, strict=True):
-            x, y = (found.score[found.levels.index(level)] for level in (pair.coarse, pair.fine))
-            for k, step in enumerate(result.steps):
-                own = (found.origin == k) & np.isfinite(x) & np.isfinite(y)
-                panel.scatter(x[own], y[own], s=22, color=colors[k % len(colors)], label=f"found by {step.name}")
-            both = np.isfinite(x) & np.isfinite(y)
-            if both.any():
-                ends = [min(x[both].min(), y[both].min()), max(x[both].max(), y[both].max())]
-                panel.plot(ends, ends, color="black", lw=0.5, ls=":")
-            logarithmic(panel, "x")
-            logarithmic(panel, "y")
-            panel.set_xlabel(f"score, {pair.coarse}")
-            panel.set_ylabel(f"score, {pair.fine}")
-            panel.set_title(f"rank correlation {pair.rank:.2f}, RMS × {pair.ratio:.2f}")
-        np.ravel(axes)[0].legend(loc="lower right")

@@ -3,17 +3,21 @@
 from collections.abc import Iterator
 
 from tuning.proof.result import TuneResult
-from tuning.reports.sections import Table, sections, summary, way
+from tuning.reports.sections import Section, Table, sections, summary, way
 
 
 def report(result: TuneResult) -> str:
     """The whole result as plain text, but for what is folded on the page."""
-    lines = [*summary(result)]
-    for section in sections(result):
-        lines += ["", section.title.upper(), *section.sentences]
-        for table in section.tables:
-            lines += [] if table.folded else aligned(table)
-    return "\n".join([*lines, "", "THE WAY THERE", *way(result)]) + "\n"
+    parts = [section_text(section) for section in sections(result)]
+    return "\n".join([*summary(result), "", *parts, "THE WAY THERE", *way(result)]) + "\n"
+
+
+def section_text(section: Section) -> str:
+    """One part of it."""
+    lines = [section.title.upper(), *section.sentences]
+    for table in section.tables:
+        lines += [] if table.folded else aligned(table)
+    return "\n".join(lines) + "\n"
 
 
 def aligned(table: Table) -> Iterator[str]:

@@ -1,1 +1,1 @@
-"""From many random points to one controller: levels that propose, space mapping, descent, worst cases, fronts."""
+"""From many random points to one controller: descent, space mapping, fronts."""

@@ -37,7 +37,7 @@ def minimised(
 
     Args:
         spec: The job.
-        spectra: Its frequency level.
+        spectra: Its problem by spectra.
         z: Where to begin, unconstrained.
         factors: Correction, each field (1, stiffness, scenarios, 3).
 

@@ -21,8 +21,8 @@ from jaxmpc.xla.precision import in_float64
 from tuning.job.goals import GOALS
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import problem_of, training
-from tuning.search.multifidelity import run_levels
 from tuning.search.optimise import descend, schedule
+from tuning.search.run import run_search
 from tuning.search.state import FEASIBLE, SearchState
 
 LEGS = 3
@@ -59,15 +59,15 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
         InputError: The folder holds the state of another job.
     """
     if z is None:
-        way = run_levels(spec, folder, progress)
+        way = run_search(spec, folder, progress)
         spec, z = msgspec.structs.replace(way.spec, pareto=spec.pareto), way.steps[-1].state.leader_z
     # Of a floor the smaller is the looser.
     combined = list(product(*(sorted(values, reverse=GOALS[name].ceiling) for name, values in spec.pareto.items())))
     limits = {name: np.array([row[i] for row in combined]) for i, name in enumerate(spec.pareto)}
     job = msgspec.structs.replace(spec, goals={**spec.goals, **{name: combined[0][i] for i, name in enumerate(limits)}})
-    problem = problem_of(job, spec.ladder[-1], training(spec, spec.tune.train_seeds)).with_limits(limits)
+    problem = problem_of(job, training(spec, spec.tune.train_seeds)).with_limits(limits)
     goals = [*job.margin_goals, *problem.hard_goals]
-    asked = np.stack([limits.get(name, np.full(len(combined), job.goals[name])) for name in goals], axis=1)
+    asked = np.stack([limits.get(name, np.full(len(combined), job.held[name])) for name in goals], axis=1)
     floors = np.array([not GOALS[name].ceiling for name in goals])
     starts = np.tile(z, (len(combined), 1))
     for leg in range(LEGS):

@@ -2,9 +2,10 @@
 
     metric(z) ≈ metric_spectra(z) · metric_arm(z₀) / metric_spectra(z₀)      per tissue, scenario and axis
 
-exact at z₀ and good around it, at a thousandth of a run's price. Peaks, which spectra do not see, follow the RMS. A
-round measures a handful of points side by side, takes the best as z₀, and on each corrected model minimises the risk
-under all hard goals (`tuning.search.corrected`). Only what was measured counts: what misleads costs a round.
+exact at z₀ and good around it, at a thousandth of a run's price. What spectra do not see follows what they do: a peak
+the RMS, clamped samples the chatter. A round measures a handful of points side by side, takes the best as z₀, and on
+each corrected model minimises the risk under all hard goals (`tuning.search.corrected`). Only what was measured counts:
+what misleads costs a round.
 
 Source: J. W. Bandler et al., Space Mapping: The State of the Art, IEEE Trans. Microwave Theory and Techniques 52(1),
 2004; there "output space mapping".
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -26,14 +28,14 @@ from jaxmpc.terminal.progress import progress
 from jaxmpc.xla.precision import in_float64
 from tuning.job.spec import TuneSpec
 from tuning.objective.loss import Values
-from tuning.objective.measures import following_rms
+from tuning.objective.measures import with_stand_ins
 from tuning.objective.problem import Problem, problem_of
 from tuning.search.corrected import minimised
 from tuning.search.optimise import WORTH, note
 from tuning.search.state import SearchState, load, save
 
 PROPOSED = 2
-"""Points measured in a round, for each start of the last level."""
+"""Points measured in a round, for each start of the job."""
 PATIENCE = 8
 """Rounds without gain until it stops."""
 SPREAD = 0.3
@@ -47,7 +49,7 @@ class Measured(NamedTuple):
 
     z: Float[np.ndarray, "points size"]
     loss: Float[np.ndarray, " points"]
-    """On the last level [-]; NaN where the heart was not held."""
+    """[-]; NaN where the heart was not held."""
     correction: Metrics
     """Correction of the spectra, (points, stiffness, scenarios, 3)."""
 
@@ -55,7 +57,7 @@ class Measured(NamedTuple):
 def refine(
     spec: TuneSpec,
     problem: Problem,
-    met: Sequence[Experiment],
+    spectra: Problem,
     z: Float[np.ndarray, "points size"],
     folder: Path | None = None,
     name: str = "state-mapping.npz",
@@ -65,8 +67,8 @@ def refine(
 
     Args:
         spec: The job.
-        problem: Its problem on the last level.
-        met: The scenarios of that problem.
+        problem: Its problem by runs.
+        spectra: The same by spectra (`spectra_of`).
         z: The points to begin with.
         folder: Where the state is kept; None keeps none.
         name: Under which name.
@@ -75,7 +77,7 @@ def refine(
     Returns:
         One row per round; its slots hold what was measured side by side, no descent of one start.
     """
-    spectra, rounds = spectra_of(spec, problem, met), spec.tune.mapping
+    rounds = spec.tune.mapping
     goals = len(spec.margin_goals) + len(problem.hard_goals), len(problem.soft_goals)
     state = SearchState.new(z, _nothing(rounds * len(z), z.shape[1], problem), rounds, goals)
     if folder is not None:
@@ -99,8 +101,8 @@ def refine(
 
 
 def spectra_of(spec: TuneSpec, problem: Problem, met: Sequence[Experiment]) -> Problem:
-    """The frequency level with the goals, margins and scenarios of another level's problem."""
-    own = problem_of(spec, "frequency", met)
+    """A job by spectra, with margins and what ratios are taken to as its problem by runs has them."""
+    own = problem_of(spec, met, spectral=True)
     return own._replace(data=own.data._replace(judged_at=problem.data.judged_at, reference=problem.data.reference))
 
 
@@ -111,8 +113,15 @@ def correction(fine: Metrics, coarse: Metrics) -> Metrics:
         usable = (said > 0.0) & np.isfinite(said)
         return np.where(usable, measured / np.where(usable, said, 1.0), 1.0)
 
-    factors: Metrics = jax.tree.map(factor, fine, following_rms(coarse))
+    factors: Metrics = jax.tree.map(factor, fine, with_stand_ins(coarse))
     return factors
+
+
+def corrected_at(spectra: Problem, measured: Measured, z: Float[np.ndarray, " size"]) -> Problem:
+    """The spectra as what was measured at one of the points corrects them: equal to the runs there, and with slopes."""
+    row = int(np.nanargmin(np.abs(measured.z - z).max(axis=1)))
+    factors = jax.tree.map(lambda field: jnp.asarray(field[row : row + 1]), measured.correction)
+    return spectra._replace(data=spectra.data._replace(correction=factors))
 
 
 def parents(measured: Measured, count: int, after: int, seed: int) -> list[tuple[int, Float[np.ndarray, " size"]]]:

@@ -89,7 +89,7 @@ def descend(
 
     Args:
         spec: The job.
-        problem: Its problem on one level.
+        problem: Its problem, by runs or by spectra.
         z: The starts, (starts, size).
         plan: What changes from iteration to iteration.
         folder: Where the state is kept; None keeps none.
@@ -124,7 +124,7 @@ def descend(
 
 
 def name_of(state: str) -> str:
-    """The level or round that a state belongs to, from the name of its file."""
+    """The step that a state belongs to, from the name of its file."""
     return state.removesuffix(".npz").removeprefix("state").lstrip("-") or "state"
 
 

@@ -154,6 +154,8 @@ def load(folder: Path, key: str, fresh: SearchState, name: str = NAME) -> Search
             "-o", folder, "a new folder, or one of this very spec and version", "Choose another or remove it."
         )
     leaves, structure = jax.tree.flatten(fresh.memory)
+    if sum(name.startswith("memory_") for name in arrays) != len(leaves):
+        raise InputError(str(path), "of other metrics", "what this program measures", "Remove it to begin anew.")
     memory = jax.tree.unflatten(structure, [arrays.pop(f"memory_{i}") for i in range(len(leaves))])
     iteration, gained = (int(arrays.pop(name)[()]) for name in ("iteration", "gained"))
     return SearchState(memory=memory, **arrays, iteration=iteration, gained=gained)

@@ -1,11 +1,16 @@
-"""Random trials of finished controllers on the arm: who becomes unstable, where nobody has tuned?
+"""Random trials of finished controllers on the arm: who is lost, or swings, where nobody has tuned?
 
 A trial is an `Experiment` of its own, drawn from its seed and number alone, so that any one can be run again by itself;
 every controller meets the same. A heart's motion costs more than running a controller on it, so `COPIES` trials, each
 on a robot and a tissue of its own, share one (and its sensor noise). They are not independent then: of failures it also
 matters on how many motions they occurred.
 
-A trial counts as unstable if its status is any but OK, or |e| ≥ 2 N after the first 2 s, ramps included.
+Three verdicts, of which a trial may deserve several:
+
+- *lost*: its status is any but OK; or |e| ≥ 2 N after the first 2 s (ramps included) in a loop whose linearisation with
+  the whole arm, at full gain, is unstable, or whose force grows: it still swings at the end.
+- *left 2 N*: |e| ≥ 2 N after the first 2 s, not lost: an event pushed a stable loop.
+- *swinging*: true force above 12 Hz of more than 0.1 N RMS on any axis over the last 10 s (`jaxmpc.swing`).
 """
 
 from collections.abc import Callable
@@ -17,6 +22,7 @@ from typing import Any, NamedTuple, get_args
 import jax
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
@@ -24,6 +30,7 @@ from jaxmpc.experiment.build import robot_on_its_tissue
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import SealError, digest, seal, unseal, write_atomic
 from jaxmpc.loop.arm import ArmSignals
+from jaxmpc.stability import whole_arm
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params, by_structure
 from jaxmpc.terminal.progress import progress
@@ -31,11 +38,13 @@ from jaxmpc.xla.precision import in_float64
 from tuning.job.scenarios import Rhythm, Scenarios, scenario
 from tuning.trials.program import block_program
 
-DURATION, SETTLE = 8.0, 2.0
-"""Length of a trial, and what is not judged of it [s]: ten beats, three breaths, and whatever event the rhythm has."""
+DURATION, SETTLE = 30.0, 2.0
+"""Length of a trial, and what is not judged of it [s]: a guard has found its gain by the end, and probed it."""
 LARGEST_ERROR = 2.0
-"""|e| from which on a trial counts as unstable [N]."""
-POOL, COPIES = 48, 15
+"""|e| from which on a trial is lost or left 2 N [N]."""
+SWINGING = 0.1
+"""RMS of the true force above 12 Hz from which on a trial swings [N]."""
+POOL, COPIES = 24, 30
 """Motions of a block, and trials on each: 10 000 trials fill 14 blocks."""
 BLOCK = POOL * COPIES
 """Trials of a block: computed together, kept in one file."""
@@ -55,14 +64,19 @@ class Spread(NamedTuple):
     scenarios: Scenarios
     cable_damping: tuple[float, float] | None = None
     """Lowest and highest damping ratio of the cable mode [-]; None is the experiment's."""
+    substeps: int = 1
+    """Least physics steps per sample: as many as resolve the cable mode."""
+    arms: str = "random"
+    """What such arms are called."""
 
 
-NOMINAL = Spread((375.0, 1900.0), Scenarios(rhythms=get_args(Rhythm), friction=0.5, mass=0.15, delays=(1,)))
-HARD = Spread(
-    (300.0, 2000.0),
-    Scenarios(rhythms=get_args(Rhythm), friction=0.5, mass=0.15, delays=(1, 2), cable_hz=(15.0, 60.0)),
-    (0.03, 0.1),
-)
+STIFFNESS = 300.0, 2200.0
+"""Lowest and highest of the tissues [N/m]."""
+_ANY = Scenarios(rhythms=get_args(Rhythm), friction=0.5, mass=0.15)
+NOMINAL = Spread(STIFFNESS, replace(_ANY, delays=(1,), cable_hz=(90.0, 250.0)), (0.03, 0.1), 5, "plausible")
+"""Arms on which the paper's text design is stable on its three tissues."""
+HARD = Spread(STIFFNESS, replace(_ANY, delays=(1, 2), cable_hz=(15.0, 60.0)), (0.03, 0.1), 2, "stress")
+"""Arms on which it is not: there a guard has to end what no fixed margin prevents."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +103,8 @@ class Job:
             raise InputError("physics", self.base.physics, '"wam" for trials', "Take table-1-wam, or set it so.")
         if not 0 <= self.seed < 10**9:
             raise InputError("seed", self.seed, "in [0, 1e9)", "Any other number draws other trials.")
-        short = msgspec.structs.replace(self.base, duration=DURATION, settle=SETTLE)
+        arm = replace(self.base.arm, substeps=max(self.base.arm.substeps, self.spread.substeps))
+        short = replace(self.base, duration=DURATION, settle=SETTLE, arm=arm)
         object.__setattr__(self, "base", short)
 
     @property
@@ -110,9 +125,9 @@ class Job:
         arm = drawn.arm
         if self.spread.cable_damping:
             least, most = self.spread.cable_damping
-            arm = msgspec.structs.replace(arm, cable_damping=float(least + (most - least) * damping))
+            arm = replace(arm, cable_damping=float(least + (most - least) * damping))
         own = {"stiffness": (float(np.exp(low + (high - low) * stiffness)),), "arm": arm}
-        return msgspec.structs.replace(drawn, motion=shared.motion, sensor=shared.sensor, **own)
+        return replace(drawn, motion=shared.motion, sensor=shared.sensor, **own)
 
 
 _scenario = lru_cache(maxsize=POOL)(scenario)
@@ -132,17 +147,48 @@ class Outcomes(NamedTuple):
     """When that happened, or for a status of the linear loop when the run diverged; NaN where it did not [s]."""
     spectral_radius: np.ndarray
     """Spectral radius of the linear loop [-]."""
+    backed_off: np.ndarray
+    """When a guard took gain back; ∞ where it was at rest throughout, or there is none [s]."""
     rms: np.ndarray
     """RMS of the residual after 2 s, (trials, controllers, 3) [N]; NaN where the run diverged."""
+    true_rms: np.ndarray
+    """That of the force on the tissue itself, without what the sensor adds, the same [N]."""
     peak_error: np.ndarray
     """Largest |e| after 2 s, the same [N]."""
+    swing: np.ndarray
+    """True force above 12 Hz, RMS over the last 10 s, the same [N]."""
+    whole_arm_unstable: np.ndarray
+    """Whether the linear loop of the whole arm is unstable at full gain; asked only where |e| ≥ 2 N and status OK."""
 
     @property
-    def unstable(self) -> np.ndarray:
-        """Whether each trial counts as unstable, (trials, controllers)."""
-        within: np.ndarray = np.all(self.peak_error < LARGEST_ERROR, axis=-1)
-        unstable: np.ndarray = (self.status != Status.OK) | ~within
-        return unstable
+    def swinging(self) -> np.ndarray:
+        """Whether each trial swings at its end, (trials, controllers)."""
+        found: np.ndarray = np.any(self.swing > SWINGING, axis=-1)
+        return found
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """Whether |e| ≥ 2 N although the status is OK."""
+        found: np.ndarray = (self.status == Status.OK) & np.any(self.peak_error >= LARGEST_ERROR, axis=-1)
+        return found
+
+    @property
+    def lost(self) -> np.ndarray:
+        """Whether each trial was lost."""
+        lost: np.ndarray = (self.status != Status.OK) | self.beyond & (self.whole_arm_unstable | self.swinging)
+        return lost
+
+    @property
+    def left(self) -> np.ndarray:
+        """Whether an event pushed a stable loop to 2 N."""
+        left: np.ndarray = self.beyond & ~self.lost
+        return left
+
+    @property
+    def at_rest(self) -> np.ndarray:
+        """Whether the guard left the gain above 0.99 throughout."""
+        resting: np.ndarray = np.isinf(self.backed_off)
+        return resting
 
 
 def run(job: Job, count: int, folder: Path | None = None, show: bool = False) -> Outcomes:
@@ -160,14 +206,16 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False) ->
     if not 1 <= count <= MOST:
         raise InputError("trials", count, f"in [1, {MOST}]", "10000 is usual.")
     blocks: list[Outcomes] = []
-    bad = np.zeros(len(job.controllers), int)
+    lost, swinging = np.zeros((2, len(job.controllers)), int)
     compute = _computer(job)
     with progress("trials", count, "trials", show) as tick:
         for first in range(0, count, BLOCK):
             found = _kept(job, folder, first, partial(compute, first))
             blocks.append(Outcomes(*(field[: count - first] for field in found)))
-            bad += blocks[-1].unstable.sum(axis=0)
-            tick(min(first + BLOCK, count), "unstable " + " / ".join(map(str, bad)))
+            lost += blocks[-1].lost.sum(axis=0)
+            swinging += blocks[-1].swinging.sum(axis=0)
+            said = " / ".join(f"{a} lost, {b} swinging" for a, b in zip(lost, swinging, strict=True))
+            tick(min(first + BLOCK, count), said)
     return Outcomes(*map(np.concatenate, zip(*blocks, strict=True)))
 
 
@@ -184,7 +232,8 @@ def _kept(job: Job, folder: Path | None, first: int, compute: Callable[[], Outco
             said, arrays = header, {}
         if said != header:
             raise InputError("output folder", folder, "one of these very trials", "Choose another with -o.")
-        if arrays:
+        # A block from before something else was measured is computed again, as a damaged one is.
+        if arrays.keys() == set(Outcomes._fields):
             return Outcomes(**arrays)
     found = compute()
     folder.mkdir(parents=True, exist_ok=True)
@@ -208,7 +257,7 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
     def compute(first: int) -> Outcomes:
         constant, varied, structure = of_all_blocks()
         trials = [job.trial(first + i) for i in range(BLOCK)]
-        met = [_judged_from_the_start(scenario_data(trial).signals, job.base) for trial in trials[:POOL]]
+        met = [_judged_from_the_start(scenario_data(trial, swinging=True).signals, job.base) for trial in trials[:POOL]]
         signals = jax.tree.map(lambda *parts: np.concatenate(parts), *met)
         robots = [jax.tree.leaves(robot_on_its_tissue(trial)) for trial in trials]
         rows = np.array([[leaves[k] for k in varied] for leaves in robots], np.float64)
@@ -224,7 +273,11 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
             found |= {i: [field[:, :, c] for field in outcomes] for c, i in enumerate(members)}
         ordered = [np.stack(fields, 2) for fields in zip(*(found[i] for i in sorted(found)), strict=True)]
         flat = [field.swapaxes(0, 1).reshape(BLOCK, *field.shape[2:]) for field in ordered]
-        return Outcomes(flat[0].astype(np.int8), *flat[1:])
+        flat[0] = flat[0].astype(np.int8)
+        ran = Outcomes(*[*flat, np.zeros(flat[0].shape, bool)])
+        for i, c in np.argwhere(ran.beyond):
+            ran.whole_arm_unstable[i, c] = whole_arm.lost(job.controllers[c], [trials[i]])[0]
+        return ran
 
     return compute
 

@@ -23,7 +23,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("params", help="a params.toml, or a published set: text, printed, mpc-alone, cautious")
     parser.add_argument("--against", metavar="PARAMS", help="another controller in the same trials, `text` for example")
     parser.add_argument("--trials", type=int, default=10_000, help="how many (10000)")
-    parser.add_argument("--hard", action="store_true", help="also delays of two samples and cable modes, softer tissue")
+    parser.add_argument(
+        "--hard", action="store_true", help="stress arms: cables of 15–60 Hz, also two samples of delay"
+    )
     parser.add_argument("--seed", type=int, default=0, help="draws other trials (0)")
     parser.add_argument("--experiment", default="table-1-wam", help="what they are drawn around (table-1-wam)")
     parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of table, figure and finished blocks")
@@ -31,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the trials, print what came of them; 1 if the controller (not the one against it) failed in any.
+    """Run the trials, print what came of them; 1 if the controller (not the one against it) was lost in any.
 
     Raises:
         InputError: A controller, the experiment, a number or the folder is wrong; nothing has been written by then.
@@ -50,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
     job = Job(controllers, experiment_from(args.experiment), HARD if args.hard else NOMINAL, args.seed)
     if args.out and args.out.exists() and not args.out.is_dir():
         raise InputError("-o", args.out, "a folder", "Name a new one.")
-    print(f"{args.trials} {'hard' if args.hard else 'nominal'} trials around {job.base.name}, seed {args.seed}")
+    print(
+        f"{args.trials} trials of {job.base.duration:g} s on {job.spread.arms} arms, {job.base.name}, seed {args.seed}"
+    )
     print(_drawn_from(job), flush=True)
     began = time.monotonic()
     try:
@@ -63,9 +67,9 @@ def run(args: argparse.Namespace) -> int:
         where = f" ({error.filename})" if error.filename else ""
         print(f"jaxmpc trials: cannot write: {error.strerror}{where}. Finished blocks are kept.", file=sys.stderr)
         return 1
-    failed = int(found.unstable[:, 0].sum())
+    failed = int(found.lost[:, 0].sum())
     if failed:
-        print(f"jaxmpc trials: {names[0]} was unstable in {failed} of {args.trials} trials", file=sys.stderr)
+        print(f"jaxmpc trials: {names[0]} was lost in {failed} of {args.trials} trials", file=sys.stderr)
     return int(failed > 0)
 
 
@@ -92,34 +96,45 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> None:
     from tuning.trials import motion_of
     from tuning.trials.report import draws, pairs, ranked
 
-    count, unstable = len(found.status), found.unstable
-    motions = np.array([motion_of(i) for i in range(count)])
+    count, motions = len(found.status), np.array([motion_of(i) for i in range(len(found.status))])
+    verdicts = {"lost": found.lost, "left |e| < 2 N": found.left, "swinging": found.swinging}
     rows, reasons = [], []
     for c, name in enumerate(names):
-        hits = int(unstable[:, c].sum())
-        low, high = (f"{100 * share:.3f}" for share in binomtest(hits, count).proportion_ci(method="wilson"))
-        hearts = f"{len(set(motions[unstable[:, c]]))} of {len(set(motions))}"
-        peak = np.nan_to_num(found.peak_error[:, c].max(axis=-1), nan=np.inf)
-        # Of the sorted values, not between them: some may be infinite.
-        figures = [np.nanmedian(found.rms[:, c].max(axis=-1)), *np.quantile(peak, (0.99, 1.0), method="lower")]
-        shares = [f"{100 * hits / count:.2f}", f"{low}–{high}"]
-        rows.append([name, str(hits), *shares, hearts, *(number(value, 3) for value in figures)])
+        for verdict, which in verdicts.items():
+            hits = int(which[:, c].sum())
+            low, high = (f"{100 * share:.3f}" for share in binomtest(hits, count).proportion_ci(method="wilson"))
+            hearts = f"{len(set(motions[which[:, c]]))} of {len(set(motions))}"
+            rows.append([name, verdict, str(hits), f"{100 * hits / count:.2f}", f"{low}–{high}", hearts])
         counts = [(kind.name, int(np.sum(found.status[:, c] == kind))) for kind in Status if kind != Status.OK]
-        counts.append(("|e| ≥ 2 N alone", int(np.sum(unstable[:, c] & (found.status[:, c] == Status.OK)))))
-        if hits:
-            reasons.append(f"{name}: {', '.join(f'{reason} {cases}' for reason, cases in counts if cases)}")
-    header = ("controller", "unstable", "%", "95 % interval %", "on motions", "RMS N, median", "|e| N, 99 %", "largest")
-    show("unstable trials", header, rows)
+        counts.append(("|e| ≥ 2 N in a loop that is unstable or grows", int(np.sum((found.lost & found.beyond)[:, c]))))
+        if found.lost[:, c].any():
+            reasons.append(f"{name} lost: {', '.join(f'{reason} {cases}' for reason, cases in counts if cases)}")
+    told = ("controller", "verdict", "trials", "%", "95 % interval %", "on motions")
+    show(f"verdicts on {job.spread.arms} arms", told, rows)
     print("\n".join(reasons))
+    rows = []
+    for c, (name, params) in enumerate(zip(names, job.controllers, strict=True)):
+        peak, swing = (np.nan_to_num(field[:, c].max(axis=-1), nan=np.inf) for field in (found.peak_error, found.swing))
+        # Of the sorted values, not between them: some may be infinite.
+        spans = [*np.quantile(peak, (0.99, 1.0), method="lower"), *np.quantile(swing, (0.5, 0.95), method="lower")]
+        medians = [np.nanmedian(field[:, c].max(axis=-1)) for field in (found.rms, found.true_rms)]
+        figures = [number(value, 3) for value in (*medians, *spans)]
+        rest = f"{100 * found.at_rest[:, c].mean():.2f}" if params.guarded else "–"
+        rows.append([name, *figures, rest])
+    measured = ("RMS N, median", "true", "|e| N, 99 %", "largest", "swing N, median", "95 %", "guard at rest %")
+    show("figures of the worst axis", ("controller", *measured), rows)
     if len(names) == 2:
-        both, first, second, neither = pairs(unstable)
-        print(f"in the same trial: both {both}, only {names[0]} {first}, only {names[1]} {second}, neither {neither}")
-        kept = ~unstable.any(axis=1)
-        worst = found.rms[kept].max(axis=-1)
-        if len(worst):
-            low, middle, high = 100.0 * np.quantile(1.0 - worst[:, 0] / worst[:, 1], (0.05, 0.5, 0.95))
-            lower = f"lower than with {names[1]}: median {middle:.0f} %, 90 % of them {low:.0f} to {high:.0f} %"
-            print(f"RMS of the worst axis, in the {kept.sum()} trials where neither is, {lower}")
+        both, first, second, neither = pairs(found.lost)
+        print(
+            f"lost in the same trial: both {both}, only {names[0]} {first}, only {names[1]} {second}, neither {neither}"
+        )
+        kept = ~found.lost.any(axis=1)
+        for kind, field in (("RMS", found.rms), ("true RMS", found.true_rms)):
+            worst = field[kept].max(axis=-1)
+            if len(worst):
+                low, middle, high = 100.0 * np.quantile(1.0 - worst[:, 0] / worst[:, 1], (0.05, 0.5, 0.95))
+                lower = f"lower than with {names[1]}: median {middle:.0f} %, 90 % of them {low:.0f} to {high:.0f} %"
+                print(f"{kind} of the worst axis, in the {kept.sum()} trials where neither is, {lower}")
     for c, name in enumerate(names):
         print(f"\nworst trials of {name}")
         for i in ranked(found, c, LISTED):

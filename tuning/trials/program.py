@@ -30,10 +30,11 @@ def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) ->
         structure: Of a `Robot`.
 
     Returns:
-        Status, time of trouble [s], spectral radius [-], each (motions, copies, controllers), RMS and largest |e| [N],
-        with three axes besides. Of what it is called with, signals (motions, steps, …) and own, one
-        array (motions, copies) per varied leaf, are dealt to the devices by motion; constant holds all leaves of
-        a `Robot`, and path is that of the experiment but for the delay, which the robots have.
+        Status, time of trouble [s], spectral radius [-], when a guard took gain back (∞ if never) [s], each (motions,
+        copies, controllers); RMS, true RMS, largest |e| and swing [N], with three axes besides. Of what it is called
+        with, signals (motions, steps, …) and own, one array (motions, copies) per varied leaf, are dealt to the
+        devices by motion; constant holds all leaves of a `Robot`, and path is that of the experiment but for the
+        delay, which the robots have.
     """
 
     def block(batch: Any, shared: Any) -> Any:
@@ -64,6 +65,8 @@ def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) ->
             """With dimensions (motions, copies, controllers, 3), NaN where the run did not last."""
             return jnp.where(lasted[..., None], jnp.transpose(per_motion(field), (2, 1, 0, 3)), jnp.nan)
 
-        return status, when, radii, per_trial(run.metrics.rms), per_trial(run.metrics.peak_error)
+        found = run.metrics
+        told = found.rms, found.true_rms, found.peak_error, found.swing
+        return status, when, radii, run.backed_off.T, *map(per_trial, told)
 
     return over_blocks(block, AT_A_TIME)

@@ -18,7 +18,7 @@ from tuning.trials import LARGEST_ERROR, Job, Outcomes
 
 
 class Pairs(NamedTuple):
-    """How often which of two controllers was unstable in the same trial."""
+    """How often which of two controllers was lost in the same trial."""
 
     both: int
     only_first: int
@@ -26,9 +26,9 @@ class Pairs(NamedTuple):
     neither: int
 
 
-def pairs(unstable: np.ndarray) -> Pairs:
+def pairs(lost: np.ndarray) -> Pairs:
     """Count the trials, (trials, 2)."""
-    first, second = unstable.T
+    first, second = lost.T
     return Pairs(
         *(int(np.sum(which)) for which in (first & second, first & ~second, ~first & second, ~first & ~second))
     )
@@ -56,20 +56,21 @@ def write_csv(path: Path, job: Job, names: Sequence[str], found: Outcomes) -> No
         names: Of the controllers.
         found: What happened.
     """
-    vector = [f"{kind}_{axis} [N]" for kind in ("rms", "peak_error") for axis in AXES]
-    each = ["unstable", "status", "when [s]", "spectral_radius [-]", *vector]
+    vector = [f"{kind}_{axis} [N]" for kind in ("rms", "true_rms", "peak_error", "swing") for axis in AXES]
+    each = ["lost", "left 2 N", "swinging", "status", "when [s]", "backed_off [s]", "spectral_radius [-]", *vector]
     drawn = ["trial", "motion", "motion_seed", "stiffness [N/m]", "delay [samples]", "mass_error [-]"]
     drawn += [f"friction_J{j} [-]" for j in range(1, 5)] + ["cable [Hz]", "cable_damping [-]"]
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(drawn + [f"{name}: {column}" for name in names for column in each])
-    unstable = found.unstable
+    verdicts = np.stack([found.lost, found.left, found.swinging], axis=-1).astype(int)
     for i in range(len(found.status)):
         row = [i, *_drawn(job.trial(i))]
         for c in range(len(names)):
-            row += [int(unstable[i, c]), Status(int(found.status[i, c])).name]
-            row += [_short(x) for x in (found.when[i, c], found.spectral_radius[i, c])]
-            row += [_short(x) for x in (*found.rms[i, c], *found.peak_error[i, c])]
+            row += [*verdicts[i, c], Status(int(found.status[i, c])).name]
+            row += [_short(field[i, c]) for field in (found.when, found.backed_off, found.spectral_radius)]
+            vectors = (found.rms, found.true_rms, found.peak_error, found.swing)
+            row += [_short(x) for field in vectors for x in field[i, c]]
         rows.writerow(row)
     write_atomic(path, text.getvalue().encode())
 
@@ -99,7 +100,7 @@ def trials_figure(path: Path, names: Sequence[str], found: Outcomes) -> None:
             panel.tick_params(axis="x", which="minor", labelbottom=False)
             panel.set_ylim(0.5 / len(values), 1.0)
             panel.set_xlabel(f"{title} after 2 s, worst axis [N]")
-        axes[0].axvline(LARGEST_ERROR, color=ACCENT, lw=1.0, ls="--", label="unstable")
+        axes[0].axvline(LARGEST_ERROR, color=ACCENT, lw=1.0, ls="--", label="2 N")
         axes[0].set_ylabel(f"share of {len(found.status)} trials beyond [-]")
         axes[0].legend()
 
@@ -115,4 +116,4 @@ def _drawn(trial: Experiment) -> list[Any]:
 
 
 def _short(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.7g}"
+    return "" if not np.isfinite(value) else f"{value:.7g}"

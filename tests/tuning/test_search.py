@@ -1,4 +1,4 @@
-"""The way up: levels, orders, the worst-case loop, the front; on the arm at a size that compiles more than it runs."""
+"""The search: what runs first, orders, the front; on the arm at a size that compiles more than it runs."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,8 +11,9 @@ from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec, pareto
 from tuning.objective.problem import problem_of, training
 from tuning.proof.result import assess
+from tuning.proof.sensitivities import sensitivities, vector_of
 from tuning.search.front import handed_on, table
-from tuning.search.multifidelity import SAME, proposed, run_levels
+from tuning.search.run import SAME, proposed, run_search
 from tuning.search.state import SearchState
 
 Job = Callable[..., dict[str, Any]]
@@ -37,7 +38,7 @@ def state_of(best: list[float], z: np.ndarray, hard: np.ndarray) -> SearchState:
     return state
 
 
-def test_the_next_level_starts_at_the_best_that_differ(spec: TuneSpec) -> None:
+def test_what_runs_first_is_the_best_that_differs(spec: TuneSpec) -> None:
     z = np.random.default_rng(0).standard_normal((5, spec.space.size))
     z[3] = z[1] + 0.1 * SAME
     state = state_of([3.0, 1.0, np.inf, 1.1, 2.0], z, np.ones((5, 1)))
@@ -66,25 +67,25 @@ def test_orders_ask_for_a_q_p_of_their_own(spec: TuneSpec) -> None:
 
 
 @pytest.mark.slow
-def test_up_the_whole_ladder_and_against_the_worst(on_the_arm: Callable[..., TuneSpec]) -> None:
-    spec = on_the_arm(tune={"rounds": 1, "searched": 6, "orders": [1, 2]})
-    with_float64 = in_float64(lambda: assess(run_levels(spec)))
+def test_spectra_propose_and_the_arm_decides(on_the_arm: Callable[..., TuneSpec]) -> None:
+    spec = on_the_arm(tune={"mapping": 3, "orders": [1, 2]})
+    with_float64 = in_float64(lambda: assess(run_search(spec)))
     result = with_float64()
-    assert [step.name for step in result.steps][:4] == ["frequency", "linear", "mapping", "arm"]
-    assert [step.level for step in result.steps][:4] == ["frequency", "linear", "arm", "arm"]
+    assert [step.name for step in result.steps] == ["spectra", "mapping"]
     assert set(result.orders) == {1, 2}
     assert result.feasible, result.unmet()
     assert result.heldout.rms.shape == (2, 1, 3, 3)
-    if len(result.steps) > 4:
-        added = result.steps[4].added
-        assert added is not None
-        assert added.value > added.known
+    # Spectra that are corrected at a point say there what the arm did: the shares of each tissue's worst, and margins.
+    found, z = sensitivities(result), vector_of(result)
+    worst = result.steps[1].problem.evaluate(np.tile(z, (4, 1))).score[0]
+    assert found.values[0].max() == pytest.approx(worst, rel=0.1)
+    assert np.isfinite(found.slopes).all()
 
 
 @pytest.mark.slow
 @in_float64
-def test_levels_agree_on_the_residual(on_the_arm: Callable[..., TuneSpec]) -> None:
-    """To 15 %: the coarse two know no friction that answers to the residual motion, which is up to a tenth here.
+def test_spectra_agree_with_runs_on_the_residual(on_the_arm: Callable[..., TuneSpec]) -> None:
+    """To 15 %: they know no friction that answers to the residual motion, which is up to a tenth here.
 
     Nor do they know the joints' limits, which this controller would meet.
     """
@@ -95,9 +96,8 @@ def test_levels_agree_on_the_residual(on_the_arm: Callable[..., TuneSpec]) -> No
     )
     met = training(spec, (0,))
     z = np.tile(spec.space.encode(spec.params), (2, 1))
-    rms = [problem_of(spec, level, met).differentiate(z, 1.0).cells.rms[0] for level in spec.ladder]
-    np.testing.assert_allclose(rms[0], rms[2], rtol=0.15)
-    np.testing.assert_allclose(rms[1], rms[2], rtol=0.15)
+    coarse, fine = (problem_of(spec, met, spectral).evaluate(z).cells.rms[0] for spectral in (True, False))
+    np.testing.assert_allclose(coarse, fine, rtol=0.15)
 
 
 @pytest.mark.slow

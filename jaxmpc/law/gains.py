@@ -1,0 +1,105 @@
+"""Constants of a controller: the gains of one cascade, and how the same controller reads on other tissue."""
+
+from typing import Annotated, Any, NamedTuple
+
+from jaxmpc.law.force_filter import ForceFilter
+from jaxmpc.law.gain_backoff import GainBackoff
+from jaxmpc.law.identification import StiffnessIdentification
+from jaxmpc.law.scalar import Constant, Scalar
+
+Vector = Any
+"""A sequence of scalars, or an array whose last dimension is that sequence."""
+_PAIR, _ANY = Constant((2,)), Constant((None,))
+
+
+class Gains(NamedTuple):
+    """Everything the law needs to know of one controller.
+
+    A field is a scalar or a sequence of scalars; in a batch each has the batch's leading dimensions.
+    The MPC output u is a force [N]; for the architecture "mpc" it is the acceleration v itself [m/s²].
+    """
+
+    phi: Annotated[Vector, _PAIR]
+    """φ₁₂ [s] and φ₂₂ [-] of the contact model Φ₂ = [[1, φ₁₂], [0, φ₂₂]], shape (2,)."""
+    gamma: Annotated[Vector, _PAIR]
+    """Γ₂: force [N] and force rate [N/s] gained in one sample per acceleration [m/s²], shape (2,)."""
+    K: Annotated[Vector, _ANY]
+    """Kalman gain: force [-], force rate [1/s], delayed input, active state and its differences [m/s²/N], (3 + N,)."""
+    L: Annotated[Vector, Constant((3,))]
+    """State feedback: force [m/s²/N], force rate [m/s/N], delayed input [-], shape (3,)."""
+    input_gain: Annotated[Scalar, Constant()]
+    """g, acceleration per unit of u: L₁ [m/s²/N] makes the DC gain u → y one."""
+    mpc_ref: Annotated[Vector, _ANY]
+    """Weights r on the force reference 1…n samples ahead [-], shape (n,); their sum acts on a constant."""
+    mpc_x: Annotated[Vector, _PAIR]
+    """MPC feedback of the estimated force [-] and force rate [s], shape (2,)."""
+    mpc_u: Annotated[Scalar, Constant()]
+    """MPC feedback of the previous output [-]."""
+    guard: GainBackoff | None = None
+    """What takes the gain back while the force swings; None takes none."""
+    force_filter: ForceFilter | None = None
+    """What the measured force passes before anything else reads it; None passes it as it is."""
+    schedule: "GainSchedule | None" = None
+    """Gains for a stiffness that is known; None has none, and these gains then serve every tissue."""
+
+
+class Knot(NamedTuple):
+    """The controller for one known stiffness of the tissue."""
+
+    log_stiffness: Annotated[Scalar, Constant(low=0.0, below=20.0)]
+    """ln K̂, K̂ in N/m."""
+    K2: Annotated[Scalar, Constant(low=0.0, below=1e4)]
+    """Damping [1/s]."""
+    gains: Gains
+    """What it would be on a tissue of 1 N/m: `with_gain` brings it to K̂."""
+
+
+class GainSchedule(NamedTuple):
+    """A family of controllers over the tissue's stiffness, and how that stiffness is found."""
+
+    knots: tuple[Knot, ...]
+    """In the order of their stiffness."""
+    identification: StiffnessIdentification
+
+
+def order(gains: Gains) -> int:
+    """Disturbance order N of one controller."""
+    return len(gains.K) - 3
+
+
+def with_gain(gains: Gains, gain: Scalar) -> Gains:
+    """The same controller for a tissue of stiffness K̂_s/gain: what it commands is scaled, what it estimates is not."""
+    K_1, K_2, *K_v = (gains.K[i] for i in range(len(gains.K)))
+    return gains._replace(
+        gamma=tuple(each / gain for each in gains.gamma),
+        K=(K_1, K_2, *(gain * each for each in K_v)),
+        L=(gain * gains.L[0], gain * gains.L[1], gains.L[2]),
+        input_gain=gain * gains.input_gain,
+    )
+
+
+def backed_off(gains: Gains, gain: Scalar) -> Gains:
+    """The same controller with less gain, its integral action slower by as much again: stable however low the gain.
+
+    The active state integrates what the loop has not yet made good. Were it as quick as ever, a slow loop would swing
+    slowly; so its gain is scaled by g once more than in `with_gain`, that of its j-th difference by gʲ more.
+    """
+    scaled = with_gain(gains, gain)
+    K_1, K_2, K_3, *K_p = scaled.K
+    slower, factor = [], gain
+    for each in K_p:
+        slower.append(factor * each)
+        factor = factor * gain
+    return scaled._replace(K=(K_1, K_2, K_3, *slower))
+
+
+def constant_reference(gains: Gains) -> Gains:
+    """The same controller for a reference held constant along H_p, as in the paper: one summed weight."""
+    total = gains.mpc_ref[0]
+    for weight in gains.mpc_ref[1:]:
+        total = total + weight
+    family = gains.schedule
+    if family is not None:
+        knots = (knot._replace(gains=constant_reference(knot.gains)) for knot in family.knots)
+        family = family._replace(knots=tuple(knots))
+    return gains._replace(mpc_ref=(total,), schedule=family)

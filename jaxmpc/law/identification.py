@@ -1,0 +1,310 @@
+r"""Finds the stiffness of the tissue under one axis while it is controlled, and says how well it is known.
+
+A sine is added to the wanted force, above the band of any heart. With the differences Δ of the measured force and of
+the tip's displacement from sample to sample, mixed down with the sine's angle φ and passed by three low-passes P,
+
+    Y = P³ [Δy e^(−iφ)],   X = P³ [Δx e^(−iφ)],   K = Re(Y X*)/|X|²                             lock-in
+
+needs neither inertia nor loop gain. What the second low-pass still passes besides the sine, n = (P² − P³)[Δy − K Δx],
+has a third of the power of what is left in Y − K X where the rest is white, so that K is known to
+
+    w = c √(1.5 ⟨|n|²⟩) / |Y|                                                                   relative width
+
+The lock-in takes seconds. Whether the tissue has *changed* since is watched without the sine: a fading-memory filter
+predicts the force from its past, another one from the accelerations that were asked, and
+
+    ε(K) = ε_y − K ε_a,   K_w = ⟨ε_y ε_a⟩/⟨ε_a²⟩                                                watch
+
+is compared with what it was when the sine went off: it is far from K, since the controller answers to ε_y, but as far
+from K at all times. A change brings the sine back; a large one also takes the authority from the schedule, so that the
+fixed gains hold until the stiffness is known again.
+"""
+
+from typing import Annotated, NamedTuple
+
+from jaxmpc.law.ops import Ops
+from jaxmpc.law.scalar import Constant, Scalar
+
+Pair = tuple[Scalar, Scalar]
+Triple = tuple[Scalar, Scalar, Scalar]
+FORCE_FLOOR, TIP_FLOOR = 1e-12, 1e-18
+"""Powers far below what can be heard [N²], [m²]: quotients stay finite, and so do their slopes, in float32 too."""
+_SHARE = Constant(low=0.0, below=1.0)
+_PAIR = Constant((2,))
+_TRIPLE = Constant((3,))
+
+
+class StiffnessIdentification(NamedTuple):
+    """Constants; each may be a batch."""
+
+    T_s: Annotated[Scalar, Constant(low=1e-5, below=0.2)]
+    """Sampling time [s]."""
+    amplitude: Annotated[Scalar, Constant(low=0.0, below=2.0)]
+    """Amplitude of the sine that is added to the wanted force [N]."""
+    turn: Annotated[Pair, _PAIR]
+    """Cosine and sine of what the sine's angle gains in a sample [-], shape (2,)."""
+    mixing: Annotated[Scalar, _SHARE]
+    """Share of each low-pass of the lock-in that is new in a sample [-]."""
+    averaging: Annotated[Scalar, _SHARE]
+    """The same of the mean of what it passes besides the sine [-]."""
+    confidence: Annotated[Scalar, Constant(low=0.0)]
+    """c, half width of the interval over its standard deviation [-]."""
+    band: Annotated[Scalar, Constant(low=1e-3, below=1.0)]
+    """Largest relative half width that counts as known [-]."""
+    least: Annotated[Scalar, Constant(low=0.0)]
+    """Smallest ln K̂ [-]."""
+    most: Annotated[Scalar, Constant(low=0.0)]
+    """Largest ln K̂ [-]."""
+    prediction: Annotated[Triple, _TRIPLE]
+    """Gains of the watch's filters: force [-], its rate [1/s], its second derivative [1/s²], shape (3,)."""
+    watching: Annotated[Scalar, _SHARE]
+    """Share of the watch's means that is new in a sample [-]."""
+
+
+class StiffnessEstimate(NamedTuple):
+    """What is known of the tissue under one axis, and all that this is gathered from."""
+
+    log_stiffness: Scalar
+    """ln K̂, K̂ in N/m."""
+    authority: Scalar
+    """w, from 0, where nothing is known, to 1, where the schedule has all of the control [-]."""
+    listening: Scalar
+    """Share of the sine's amplitude that is on [-]."""
+    width: Scalar
+    """Relative half width of the interval of K [-]; large where nothing is heard."""
+    doubt: Scalar
+    """How surely the tissue has changed [-]: the sine comes back from 0 on, and above 0.5 the authority goes."""
+    wave: Pair
+    """Cosine and sine of the angle φ [-]."""
+    last: Pair
+    """Measured force [N] and displacement of the tip [m] at the last sample."""
+    force: tuple[Pair, Pair, Pair]
+    """Δy mixed down, after one, two and three low-passes [N]."""
+    tip: tuple[Pair, Pair, Pair]
+    """Δx likewise [m]."""
+    rest: Scalar
+    """⟨|n|²⟩ [N²]."""
+    heard: Scalar
+    """How much of the averaging's memory is filled [-]."""
+    damping: Scalar
+    """Deceleration of the tip by the damping at the last sample, K₂ẋ [m/s²]."""
+    from_force: Triple
+    """Force [N], rate [N/s] and second derivative [N/s²] as predicted from the measured forces."""
+    from_asked: Triple
+    """The same per stiffness, from the accelerations asked."""
+    moments: Pair
+    """⟨ε_y ε_a⟩ and ⟨ε_a²⟩ [N m], [m²]."""
+    noise: Scalar
+    """⟨ε_y²⟩ [N²]."""
+    usual: Scalar
+    """K_w/K̂ while the tissue was as it was known [-]."""
+    upset: Scalar
+    """Mean square of the force's error [N²]."""
+    learned: Scalar
+    """How much of that is learned since the sine went off [-]."""
+
+
+FOLLOWING, RISING, FALLING, HEARING = 6.0, 2.0, 40.0, 2.0
+"""Rates: of ln K̂ towards K per miss, of the authority up and down, of the sine [1/s]."""
+LEARNING, FORGETTING = 0.5, 0.02
+"""Rates at which what is usual is learned when the sine has gone off, and ever after [1/s]."""
+STIFFER, SOFTER = 0.35, 1.5
+"""By how much more than usual, and less, K_w must tell from which on the tissue is taken to have changed [-]. Softer
+tissue brings the sine back and no more: a premature beat, too, brings K_w down, to 0.3 of what is usual."""
+UPSET, UPSET_MEMORY = 0.5, 0.1
+"""RMS of the force's error, and its memory [s], from which on the authority goes whatever the cause [N]: rhythms
+leave it below 0.4 N with the gains for the tissue."""
+SIGMAS = 1.0
+"""What the noise of K_w adds to that, in standard deviations [-]."""
+LEAST_SEEN = 0.1
+"""Smallest share of what is usual that is told apart from none [-]."""
+UNHEARD = 10.0
+"""Width before anything is heard [-]."""
+
+
+def init(constants: StiffnessIdentification, force: Scalar) -> StiffnessEstimate:
+    """Nothing is known: contact has just been made, with a measured force [N]."""
+    zero = 0.0 * force
+    none, still = (zero, zero), (zero, zero, zero)
+    middle = 0.5 * (constants.least + constants.most) + zero
+    return StiffnessEstimate(
+        log_stiffness=middle,
+        authority=zero,
+        listening=zero,
+        width=zero + UNHEARD,
+        doubt=zero,
+        wave=(1.0 + zero, zero),
+        last=(force, zero),
+        force=(none, none, none),
+        tip=(none, none, none),
+        rest=zero,
+        heard=zero,
+        damping=zero,
+        from_force=(force, zero, zero),
+        from_asked=still,
+        moments=none,
+        noise=zero,
+        usual=1.0 + zero,
+        upset=zero,
+        learned=zero,
+    )
+
+
+def dither(constants: StiffnessIdentification, state: StiffnessEstimate) -> Scalar:
+    """What is added to the wanted force at this sample [N]."""
+    return constants.amplitude * state.listening * state.wave[1]
+
+
+def answer(constants: StiffnessIdentification, state: StiffnessEstimate) -> Scalar:
+    """What of the measured force is the loop's answer to the sine [N]."""
+    turn_cosine, turn_sine = constants.turn
+    (cosine, sine), (real, imaginary) = state.wave, state.force[-1]
+    # Δy = y (1 − e^(−iωT_s)), undone; both halves of the spectrum.
+    less = 1.0 - turn_cosine
+    y_real = real + turn_sine / less * imaginary
+    y_imaginary = imaginary - turn_sine / less * real
+    return y_real * cosine - y_imaginary * sine
+
+
+def step(
+    constants: StiffnessIdentification,
+    state: StiffnessEstimate,
+    force: Scalar,
+    tip: Scalar,
+    wanted: Scalar,
+    v: Scalar,
+    backed_off: Scalar,
+    ops: Ops,
+) -> StiffnessEstimate:
+    """Advance by one sample.
+
+    Args:
+        constants: Constants.
+        state: What `init` or the last `step` returned.
+        force: Measured force on the tissue, before any filter of the law [N].
+        tip: Measured displacement of the tip along the axis, from any origin [m].
+        wanted: Wanted force, without the sine [N].
+        v: Command that was applied at the last sample [m/s²].
+        backed_off: Share of the gain that a guard is taking back [-].
+        ops: Scalar functions.
+    """
+    state = _watch(constants, state, force, v - state.damping)
+    state, stiffness = _listen(constants, state, force, tip, ops)
+    error = force - answer(constants, state) - wanted
+    state = state._replace(upset=state.upset + constants.T_s / UPSET_MEMORY * (error * error - state.upset))
+    return _decide(constants, state, stiffness, backed_off, ops)
+
+
+def _listen(
+    constants: StiffnessIdentification, state: StiffnessEstimate, force: Scalar, tip: Scalar, ops: Ops
+) -> tuple[StiffnessEstimate, Scalar]:
+    """The lock-in: what it has heard, and the stiffness that this tells [N/m]."""
+    (cosine, sine), (turn_cosine, turn_sine) = state.wave, constants.turn
+    wave = turn_cosine * cosine - turn_sine * sine, turn_sine * cosine + turn_cosine * sine
+    on = ops.clip(1e3 * state.listening, 0.0, 1.0)
+    heard_force = _mixed(constants.mixing, state.force, on * (force - state.last[0]), wave)
+    heard_tip = _mixed(constants.mixing, state.tip, on * (tip - state.last[1]), wave)
+    (_, Y2, Y), (_, X2, X) = heard_force, heard_tip
+    stiffness = (Y[0] * X[0] + Y[1] * X[1]) / (_power(X) + TIP_FLOOR)
+    besides = tuple(y2 - y - stiffness * (x2 - x) for y2, y, x2, x in zip(Y2, Y, X2, X, strict=True))
+    rest = state.rest + constants.averaging * (_power(besides) - state.rest)
+    heard = state.heard + constants.averaging * (state.listening - state.heard)
+    # Renormalised, since a rotation of floats would shrink or grow over hours.
+    length = 1.5 - 0.5 * _power(wave)
+    ratio = 1.5 * (rest + FORCE_FLOOR) / (heard * _power(Y) + FORCE_FLOOR)
+    return state._replace(
+        wave=(length * wave[0], length * wave[1]),
+        last=(force, tip),
+        force=heard_force,
+        tip=heard_tip,
+        rest=rest,
+        heard=heard,
+        width=ops.minimum(constants.confidence * ops.sqrt(ratio), UNHEARD),
+    ), stiffness
+
+
+def _watch(
+    constants: StiffnessIdentification, state: StiffnessEstimate, force: Scalar, asked: Scalar
+) -> StiffnessEstimate:
+    """The watch: predictions from the force and from what was asked of the tip [m/s²], and what they have in common."""
+    error, share = force - state.from_force[0], state.from_asked[0]
+    common, power = state.moments
+    new = constants.watching
+    return state._replace(
+        from_force=_predicted(constants, state.from_force, error, 0.0),
+        from_asked=_predicted(constants, state.from_asked, -share, asked),
+        moments=(common + new * (error * share - common), power + new * (share * share - power)),
+        noise=state.noise + new * (error * error - state.noise),
+    )
+
+
+def _decide(
+    constants: StiffnessIdentification, state: StiffnessEstimate, stiffness: Scalar, backed_off: Scalar, ops: Ops
+) -> StiffnessEstimate:
+    """What is believed of the stiffness, who controls, and whether to go on listening."""
+    T_s, band = constants.T_s, constants.band
+    known = ops.exp(state.log_stiffness)
+    miss = stiffness / known - 1.0
+    full = ops.clip(10.0 * (state.heard - 0.8), 0.0, 1.0)
+    sure = full * ops.clip(2.0 - 2.0 * state.width / band, 0.0, 1.0)
+    log_stiffness = state.log_stiffness + FOLLOWING * T_s * sure * ops.clip(miss, -0.5, 0.5)
+
+    common, power = state.moments
+    seen = common / (power + TIP_FLOOR) / known
+    # Standard error of a mean over the memory of the watch, 2/α samples.
+    spread = ops.sqrt((0.5 * constants.watching * state.noise + TIP_FLOOR) / (power + TIP_FLOOR)) / known
+    share = ops.maximum(seen / state.usual, LEAST_SEEN)
+    noise = SIGMAS * spread / state.usual
+    stiffer, softer = (share - 1.0) / (STIFFER + noise), (1.0 / share - 1.0) / (SOFTER + noise)
+    settled = ops.clip(50.0 * (state.authority - 0.98), 0.0, 1.0)
+    quiet = settled * (1.0 - state.listening)
+    judged = ops.clip(10.0 * (state.learned - 0.8), 0.0, 1.0)
+    swinging = ops.clip(5.0 * (backed_off - 0.1), 0.0, 2.0)
+    changed = ops.maximum(ops.clip(stiffer - 1.0, 0.0, 2.0), ops.clip(softer - 1.0, 0.0, 0.5))
+    upset = ops.clip(2.0 * (state.upset / UPSET**2 - 1.0), 0.0, 2.0)
+    doubt = ops.maximum(ops.maximum(judged * changed, upset), swinging)
+    learning = (
+        T_s * quiet * (LEARNING * (1.0 - judged) + FORGETTING * ops.clip(1.0 - ops.maximum(stiffer, softer), 0.0, 1.0))
+    )
+    usual = ops.maximum(state.usual + learning * (seen - state.usual), LEAST_SEEN)
+    learned = state.learned + T_s * (
+        quiet * LEARNING * (1.0 - state.learned) - HEARING * state.listening * state.learned
+    )
+
+    arrived = ops.clip(2.0 - 20.0 * abs(miss), 0.0, 1.0)
+    large = ops.clip(2.0 * doubt - 1.0, 0.0, 1.0)
+    authority = state.authority + T_s * (RISING * sure * arrived - FALLING * large)
+    # Once it is more than half on again, the sine stays until the stiffness has been heard.
+    unsettled = ops.clip(ops.maximum(1.0 - settled, 10.0 * doubt), 0.0, 1.0)
+    done = ops.maximum(sure * arrived, ops.clip(6.0 - 10.0 * state.listening, 0.0, 1.0))
+    listening = state.listening + HEARING * T_s * (unsettled - (1.0 - unsettled) * done)
+    return state._replace(
+        log_stiffness=ops.clip(log_stiffness, constants.least, constants.most),
+        authority=ops.clip(authority, 0.0, 1.0),
+        listening=ops.clip(listening, 0.0, 1.0),
+        doubt=doubt,
+        usual=usual,
+        learned=learned,
+    )
+
+
+def _mixed(new: Scalar, passed: tuple[Pair, ...], change: Scalar, wave: Pair) -> tuple[Pair, Pair, Pair]:
+    """Three low-passes of what is mixed down with the wave."""
+    value, following = (change * wave[0], -change * wave[1]), []
+    for real, imaginary in passed:
+        value = real + new * (value[0] - real), imaginary + new * (value[1] - imaginary)
+        following.append(value)
+    once, twice, thrice = following
+    return once, twice, thrice
+
+
+def _predicted(constants: StiffnessIdentification, state: Triple, error: Scalar, asked: Scalar) -> Triple:
+    """A fading-memory filter of second order, corrected by its error, at the next sample."""
+    T_s, (of_value, of_rate, of_curve) = constants.T_s, constants.prediction
+    value, rate, curve = state[0] + of_value * error, state[1] + of_rate * error, state[2] + of_curve * error
+    pull = curve + asked
+    return value + T_s * rate + 0.5 * T_s * T_s * pull, rate + T_s * pull, curve
+
+
+def _power(pair: tuple[Scalar, ...]) -> Scalar:
+    return pair[0] * pair[0] + pair[1] * pair[1]

@@ -1,0 +1,108 @@
+"""How the stiffness of the tissue is found for a family of controllers, in engineering units."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from itertools import pairwise
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.law.identification import StiffnessIdentification
+
+BOUNDS: Mapping[str, tuple[float, float, str]] = {
+    "amplitude": (0.01, 1.0, "N"),
+    "frequency": (5.0, 100.0, "Hz"),
+    "lock_in": (0.05, 10.0, "s"),
+    "averaging": (0.1, 30.0, "s"),
+    "confidence": (1.0, 20.0, "-"),
+    "band": (0.01, 0.5, "-"),
+    "prediction": (0.001, 0.2, "s"),
+    "watching": (0.05, 10.0, "s"),
+}
+BEYOND = 0.25
+"""How far K̂ may leave the outer knots [-]."""
+
+
+@dataclass(frozen=True)
+class Listening:
+    """Where the knots of a family stand, and the settings of `jaxmpc.law.identification`.
+
+    Attributes:
+        stiffness: For which K̂ each knot is, rising [N/m].
+        amplitude: Of the sine that is added to the wanted force while the stiffness is not known [N].
+        frequency: Of it, above whatever a heart does [Hz].
+        lock_in: Time constant of each low-pass of the lock-in [s].
+        averaging: Memory of what it hears besides the sine [s].
+        confidence: Half width of the interval over its standard deviation [-].
+        band: Largest relative half width that counts as known [-].
+        prediction: Time constant of the watch's filters [s].
+        watching: Memory of the watch [s].
+
+    Raises:
+        InputError: A value is out of bounds, or the stiffnesses do not rise.
+    """
+
+    stiffness: tuple[float, ...]
+    amplitude: float = 0.3
+    frequency: float = 17.0
+    lock_in: float = 0.4
+    averaging: float = 1.0
+    confidence: float = 4.0
+    band: float = 0.06
+    prediction: float = 0.0035
+    watching: float = 1.0
+
+    def __post_init__(self) -> None:
+        places = self.stiffness
+        rising = all(low < high for low, high in pairwise(places))
+        if not places or not rising or not all(math.isfinite(K) and 1.0 <= K <= 1e6 for K in places):
+            raise InputError("listening.stiffness", list(places), "rising, each in [1, 1e6] N/m", "One for every knot.")
+        for name, (low, high, unit) in BOUNDS.items():
+            value = getattr(self, name)
+            if not (isinstance(value, int | float) and low <= value <= high):
+                raise InputError(f"listening.{name}", value, f"in [{low:g}, {high:g}] {unit}", "Leave it out.")
+
+    @staticmethod
+    def from_dict(values: Mapping[str, Any]) -> "Listening":
+        """Settings from plain values; unnamed ones are the defaults.
+
+        Raises:
+            InputError: A name is unknown, a value of the wrong kind or out of bounds.
+        """
+        known = [field.name for field in fields(Listening)]
+        for name in values:
+            if name not in known:
+                raise InputError(f"listening.{name}", values[name], "a known setting", nearest(name, known))
+        places = values.get("stiffness", ())
+        if not isinstance(places, list | tuple) or not all(isinstance(K, int | float) for K in places):
+            raise InputError("listening.stiffness", places, "numbers [N/m]", "One for every knot.")
+        return Listening(**{**values, "stiffness": tuple(map(float, places))})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as `from_dict` takes them."""
+        return {**asdict(self), "stiffness": list(self.stiffness)}
+
+    def constants(self, T_s: Any) -> StiffnessIdentification:
+        """Constants of the law for a sampling time [s]; traceable."""
+        angle = 2.0 * math.pi * self.frequency * T_s
+        pole = jnp.exp(-T_s / self.prediction)
+        # A fading-memory filter of second order has all its poles at one place (Morrison, Tracking Filter Engineering).
+        value, rate, curve = 1.0 - pole**3, 1.5 * (1.0 - pole**2) * (1.0 - pole), (1.0 - pole) ** 3
+        found = StiffnessIdentification(
+            T_s=T_s,
+            amplitude=self.amplitude,
+            turn=(jnp.cos(angle), jnp.sin(angle)),
+            mixing=1.0 - jnp.exp(-T_s / self.lock_in),
+            averaging=1.0 - jnp.exp(-T_s / self.averaging),
+            confidence=self.confidence,
+            band=self.band,
+            least=math.log(self.stiffness[0]) - BEYOND,
+            most=math.log(self.stiffness[-1]) + BEYOND,
+            prediction=(value, rate / T_s, curve / T_s**2),
+            watching=1.0 - jnp.exp(-T_s / self.watching),
+        )
+        constants: StiffnessIdentification = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), found)
+        return constants

@@ -1,0 +1,96 @@
+"""What swings: the filter against scipy's, the metrics of the joints and of the true force against stored runs."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import numpy as np
+import pytest
+import scipy.signal
+
+from jaxmpc import Experiment, Params, design, evaluate, swing
+from jaxmpc.engine.scenario import scenario_data
+from jaxmpc.law.transmission import N1
+from tests.jaxmpc.linear_loop import TEXT, step_by_step, world
+
+replace = msgspec.structs.replace
+SECTIONS = scipy.signal.butter(4, swing.CORNER_HZ, "highpass", fs=1000.0, output="sos")
+
+
+def above(force: Any) -> np.ndarray:
+    """What scipy's Butterworth high-pass, at rest before, lets pass of a force (…, steps)."""
+    passed: np.ndarray = scipy.signal.sosfilt(SECTIONS, np.asarray(force, np.float64), axis=-1)
+    return passed
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-11), (np.float32, 1e-5)])
+def test_the_filter_is_scipys(dtype: Any, tolerance: float) -> None:
+    """White noise of 1 N upon −5 N; float32 keeps five of its digits."""
+    force = (np.random.default_rng(0).normal(size=20_000) - 5.0).astype(dtype)
+    filtering, state, found = swing.high_pass(dtype(1e-3), np), swing.rest(dtype(0.0)), []
+    for value in force:
+        passed, state = swing.step(filtering, state, value)
+        found.append(passed)
+    assert found[-1].dtype == dtype
+    np.testing.assert_allclose(found, above(force), rtol=0.0, atol=5.0 * tolerance)
+
+
+def test_its_gain_is_scipys() -> None:
+    theta = np.geomspace(1e-2, 3.0, 50)
+    _, expected = scipy.signal.sosfreqz(SECTIONS, theta)
+    np.testing.assert_allclose(swing.gain(theta, 1e-3, np), np.abs(expected), rtol=1e-9)
+    assert float(swing.gain(2.0 * np.pi * 0.012, 1e-3, np)) == pytest.approx(np.sqrt(0.5))
+
+
+@pytest.mark.parametrize("duration", [12.05, 4.0])
+def test_swinging_is_that_of_the_last_ten_seconds(duration: float) -> None:
+    """And of a shorter run all of it, ramps included."""
+    experiment = replace(Experiment.published("table-1"), duration=duration, settle=3.0, stiffness=(810.0,))
+    outcome: Any = evaluate(Params(), experiment, trace=True)
+    late = above(outcome.trace.true_force)[..., -10_000:]
+    assert late.shape[-1] == min(10_000, experiment.steps)
+    np.testing.assert_allclose(outcome.metrics.swing, np.sqrt(np.mean(late**2, axis=-1)), rtol=1e-8)
+
+
+def test_the_linear_loop_tells_it_only_when_asked() -> None:
+    experiment = replace(Experiment.published("table-1"), duration=4.0, settle=3.0)
+    gains, worlds = (jax.tree.map(lambda leaf: leaf[None], x) for x in (design(TEXT), world(TEXT, 810.0, 1, False)))
+    contacts = jax.tree.map(lambda leaf: jnp.asarray(leaf)[:, None], worlds)
+    scenes = [scenario_data(experiment, swinging) for swinging in (True, False)]
+    asked, not_asked = (step_by_step(gains, contacts, scene.lsb, scene.signals)[0] for scene in scenes)
+    assert np.isnan(not_asked.swing).all()
+    assert np.isfinite(asked.swing).all()
+    for name in set(asked._fields) - {"swing"}:
+        np.testing.assert_array_equal(getattr(asked, name), getattr(not_asked, name), err_msg=name)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("physics", ["wam", "mjx"])
+def test_metrics_of_the_arm_are_those_of_its_trace(physics: str) -> None:
+    given, duration = Experiment.published("table-1-wam"), 11.0 if physics == "wam" else 4.0
+    arm = replace(given.arm, integrator="leapfrog" if physics == "wam" else "euler")
+    experiment = replace(given, stiffness=(810.0,), duration=duration, settle=3.0, physics=physics, arm=arm)
+    outcome: Any = evaluate(Params(), experiment, trace=True)
+    scored = experiment.signals.score[: experiment.steps].T
+
+    def only(values: Any) -> np.ndarray:
+        """Of the one stiffness."""
+        return np.asarray(values)[0]
+
+    trace, found = (type(part)(*map(only, part)) for part in (outcome.trace, outcome.metrics))
+    true = trace.true_force - trace.force_ref[..., 0]
+    rms = [np.sqrt(np.mean(row[counts] ** 2)) for row, counts in zip(true, scored, strict=True)]
+    spans = [np.ptp(row[counts]) for row, counts in zip(true, scored, strict=True)]
+    np.testing.assert_allclose(found.true_rms, rms, rtol=1e-9)
+    np.testing.assert_allclose(found.true_peak_to_peak, spans, rtol=1e-9)
+    late = above(trace.true_force)[:, -10_000:]
+    np.testing.assert_allclose(found.swing, np.sqrt(np.mean(late**2, axis=-1)), rtol=1e-7)
+    np.testing.assert_allclose(found.joint_torque, [np.abs(trace.wanted).max()] * 3, rtol=1e-12)
+    change = np.abs(np.diff(trace.wanted, axis=-1)).max(axis=0)[scored.any(axis=0)[1:]]
+    np.testing.assert_allclose(found.torque_step, [change.max()] * 3, rtol=1e-9)
+    # No limit acts: what is sent is what was wanted, rounded down to a count of the motor.
+    assert (found.clamped == 0.0).all()
+    assert 0.0 < np.abs(trace.torque - trace.wanted).max() < N1 * arm.torque_lsb
+    # White noise of the sensor comes on top of what the loop leaves.
+    assert (found.rms > found.true_rms).all()

@@ -1,0 +1,96 @@
+"""Margins of the whole arm: the axis' own on a heavy perfect arm, poles on the unit circle, what an observer costs."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from jaxmpc import InputError, Params, design
+from jaxmpc.stability.loop import contact_of
+from jaxmpc.stability.response import loop_response
+from jaxmpc.stability.whole_arm import System, radii, whole_arm_system
+from jaxmpc.stability.whole_arm_margins import WholeArmMargins, sensitivity, whole_arm_margins
+from jaxmpc.world.arm import chain
+from jaxmpc.world.friction import SMALL_VELOCITY
+from tests.jaxmpc.test_whole_arm import T_S, experiment, world_of
+
+ARM = experiment().arm
+CUTS = ("at_v", "at_a", "at_force")
+
+
+@cache
+def system(bandwidth: float = 0.0, stiffness: float = 375.0, sticking: bool = False) -> System:
+    kind, robot = world_of(experiment(stiffness=(stiffness,), momentum_observer=bandwidth))
+    return System(*map(np.asarray, whole_arm_system(chain(), kind, robot, design(Params()), 10.0, sticking)))
+
+
+@cache
+def found(bandwidth: float = 0.0, stiffness: float = 375.0, sticking: bool = False) -> WholeArmMargins:
+    return whole_arm_margins(Params(), experiment(stiffness=(stiffness,), momentum_observer=bandwidth), sticking)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("bandwidth", [0.0, 100.0])
+def test_a_heavy_perfect_arm_has_the_sensitivity_of_the_axis(bandwidth: float) -> None:
+    """With an observer as well: where the model holds, it is not in the loop at all.
+
+    Heavy, so that the tissue's force, which is cancelled a sample late, moves nothing; without damping, which encoders
+    see half a sample later.
+    """
+    heavy = 1e5
+    given = experiment(viscous=(0.0,) * 4, mass_error=0.0, momentum_observer=bandwidth)
+    kind, robot = world_of(given)
+    robot = robot._replace(tool_mass=heavy, nominal=robot.nominal._replace(tool_error=heavy))
+    gains = design(Params())
+    arm = whole_arm_system(chain()._replace(gravity=(0.0, 0.0, 0.0)), kind, robot, gains, 0.0)
+    contact = contact_of(810.0, 0.0, given.loop_path())
+    for theta in np.geomspace(2e-2, 3.0, 25):
+        expected = 1.0 / (1.0 + complex(loop_response(gains, contact, theta, 0.0)))
+        # K_s over the mass, 8e-3 1/s² a sample or two late, beside frequencies of 20 rad/s and more; masses of 1e5 kg
+        # round the observer's torques to 1e-8.
+        np.testing.assert_allclose(np.asarray(sensitivity(arm, theta)), np.full(9, expected), rtol=1e-4)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("bandwidth", [0.0, 60.0])
+def test_gain_at_the_margin_puts_a_pole_on_the_unit_circle(bandwidth: float) -> None:
+    """At each cut of each axis k times the signal goes on instead of it: w = (k − 1) times what came without w."""
+    loop, margins = system(bandwidth), found(bandwidth)
+    assert float(margins.spectral_radius) == pytest.approx(radii(loop.A), rel=1e-9)
+    for cut, name in enumerate(CUTS):
+        for axis in range(3):
+            row, column = loop.C[3 * cut + axis], loop.B[:, 3 * (cut == 2) + axis]
+            for change, sign in (
+                (getattr(margins, name).gain_margin_db, 1.0),
+                (getattr(margins, name).gain_reduction_db, -1.0),
+            ):
+                if not np.isfinite(change[axis]):
+                    continue
+                k = 10.0 ** (sign * float(change[axis]) / 20.0)
+                assert radii(loop.A + (k - 1.0) * np.outer(column, row)) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.oracle
+def test_what_an_observer_costs() -> None:
+    """On the softest tissue M_s of the text design, 4.3 to 5.2, becomes 5.8 to 7.2; on the hardest it stays."""
+    for stiffness, low, high in ((375.0, 1.2, 1.6), (1900.0, 0.97, 1.0)):
+        plain, observed = found(0.0, stiffness), found(60.0, stiffness)
+        assert float(observed.spectral_radius) < 1.0
+        for name in CUTS:
+            ratio = np.asarray(getattr(observed, name).M_s) / np.asarray(getattr(plain, name).M_s)
+            assert (low < ratio).all()
+            assert (ratio < high).all()
+
+
+@pytest.mark.oracle
+def test_sticking_joints_are_springs() -> None:
+    """A bristle follows the joint by T_s/z, and forgets T_s ε/z of itself, a sample; so stiff a tip hardly swings."""
+    sliding, sticking = system(), system(sticking=True)
+    moved, kept = T_S / ARM.presliding, 1.0 + T_S * SMALL_VELOCITY / ARM.presliding
+    assert np.abs(sticking.A - sliding.A).max() == pytest.approx(moved / kept, rel=1e-12)
+    assert (np.asarray(found(sticking=True).at_v.M_s) < 0.6 * np.asarray(found().at_v.M_s)).all()
+
+
+def test_one_controller_at_a_time() -> None:
+    with pytest.raises(InputError, match="one controller"):
+        whole_arm_margins(Params.stack([Params(), Params()]), experiment())

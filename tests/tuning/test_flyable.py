@@ -1,0 +1,70 @@
+"""A result that freezing would refuse is none: implied goals, and the best of the starts that is accepted."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tuning.proof.result
+from jaxmpc.synthesis.params import Params
+from tuning import TuneSpec
+from tuning.proof.flyable import floor_of, refusal
+from tuning.proof.result import assess
+from tuning.search.run import SearchHistory, Step
+from tuning.search.state import SearchState
+
+Job = Callable[..., dict[str, Any]]
+UNLIMITED = {"joint_torque_limit": [0.0] * 4, "torque_step_limit": [0.0] * 4}
+
+
+def on_arm(small: Job, arm: dict[str, Any], **goals: Any) -> TuneSpec:
+    return TuneSpec.from_dict(small(experiment={"published": "table-1-wam", "arm": arm}, goals=goals))
+
+
+def test_limits_of_the_arm_imply_goals_where_none_are_given(small: Job) -> None:
+    spec = on_arm(small, {}, M_s=1.9)
+    assert spec.goals == {"M_s": 1.9}
+    implied = {"clamped": 1e-3, "joint_torque": 50.0, "torque_step": 10.0, "chatter": pytest.approx(1.2)}
+    assert spec.held == {"M_s": 1.9, **implied}
+    assert set(spec.hard_goals) == set(spec.implied) == set(implied)
+    assert set(on_arm(small, {}, M_s=1.9, chatter=0.9, clamped=1e-3).implied) == {"joint_torque", "torque_step"}
+    assert on_arm(small, {"torque_step_limit": [5.0] * 4}).held["chatter"] == pytest.approx(0.6)
+    assert set(on_arm(small, {"torque_step_limit": [0.0] * 4}).implied) == {"clamped", "joint_torque"}
+    assert on_arm(small, UNLIMITED, M_s=1.9).held == {"M_s": 1.9}
+    assert TuneSpec.from_dict(small()).implied == {}
+
+
+def test_an_implied_goal_is_part_of_the_job(small: Job) -> None:
+    implied, given = on_arm(small, {}), on_arm(small, {}, M_s=2.0, chatter=0.12 * 10.0, clamped=1e-3)
+    assert implied.digest == given.digest
+    assert implied.digest != on_arm(small, {}, M_s=2.0, chatter=2.0, clamped=1e-3).digest
+
+
+def test_freezing_is_asked_with_the_margins_of_the_job(small: Job) -> None:
+    spec = on_arm(small, {}, phase_margin_deg=30.0, ideal=False)
+    assert floor_of(spec) == {"M_s": 2.0, "phase_margin_deg": 30.0}
+    assert floor_of(on_arm(small, {}, M_s=3.0, ideal=True)) == {"M_s": 2.0}, "a frozen arm is judged as it runs"
+    assert "M_s at 375 N/m = 4.388" in refusal(spec, Params.published("text"))
+    assert refusal(on_arm(small, UNLIMITED), Params.published("text")) == "", "a study is not for a robot"
+
+
+@pytest.mark.parametrize(("refused", "chosen"), [((), 1), ((1,), 2), ((1, 2, 0), 1)])
+def test_the_best_start_that_may_fly_is_the_result(
+    small: Job, monkeypatch: pytest.MonkeyPatch, refused: tuple[int, ...], chosen: int
+) -> None:
+    spec = TuneSpec.from_dict(small(tune={"starts": 3, "free": {"K2": True}}))
+    state = SearchState.new(spec.space.draw(3, 0), (), 1, (1, 1))
+    state.best_z, state.best = state.z, np.array([0.9, 0.5, 0.7])
+    state.path[0], state.hard[0], state.iteration = state.z, 0.9, 1
+    starts = [spec.space.exact(z) for z in state.z]
+    runs: Any = np.zeros((2, 3, 3))
+    monkeypatch.setattr(tuning.proof.result, "versus", lambda *_: (runs, [runs]))
+    monkeypatch.setattr(
+        tuning.proof.result, "refusal", lambda _, params: "its torque" * (params in [starts[i] for i in refused])
+    )
+    problem: Any = None
+    result = assess(SearchHistory(spec, [Step("linear", problem, state)], {}))
+    assert float(result.params.K2) == float(starts[chosen].K2)
+    assert result.met == (len(refused) < 3)
+    assert result.refused == ("its torque" if len(refused) == 3 else "")

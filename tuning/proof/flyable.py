@@ -1,0 +1,32 @@
+"""Whether a tuned controller may fly: `jaxmpc freeze` itself is asked, with the robot's default limits."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from jaxmpc.export.freezing import freeze_controller
+from jaxmpc.files.errors import InputError
+from jaxmpc.quantities import HIGHEST_M_S
+from jaxmpc.synthesis.params import Params
+from tuning.job.spec import TuneSpec
+
+
+def floor_of(spec: TuneSpec) -> dict[str, float]:
+    """Margins that a controller of this job promises as it runs: its goals, and M_s whatever they are."""
+    return {"M_s": HIGHEST_M_S, **({} if spec.ideal else spec.margin_goals)}
+
+
+def refusal(spec: TuneSpec, params: Params) -> str:
+    """Why freezing refuses a controller; "" where it accepts, and for jobs that are not for a robot.
+
+    Args:
+        spec: The job; a robot's if its experiment has a robot's limits.
+        params: The controller.
+    """
+    if not spec.experiment.limited:
+        return ""
+    with TemporaryDirectory() as folder:
+        try:
+            freeze_controller(Path(folder) / "controller.npz", params, spec.experiment, floor_of(spec), ideal=False)
+        except InputError as error:
+            return str(error)
+    return ""

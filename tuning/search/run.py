@@ -1,0 +1,114 @@
+"""The way to a controller: a descent from many points; for the arm it is one on spectra, and then the arm runs."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxmpc.quantities import HORIZONS
+from jaxmpc.terminal.progress import progress
+from tuning.job.spec import TuneSpec
+from tuning.objective.problem import Problem, problem_of, training
+from tuning.search.mapping import PROPOSED, refine, spectra_of
+from tuning.search.optimise import descend, schedule
+from tuning.search.state import SearchState
+
+SCREENED = 16
+"""Random points tried for each start of a descent."""
+COARSE = 8
+"""Starts on the spectra, for each start of the job."""
+SAME = 0.05
+"""Starts nearer to each other than this, per unconstrained number, count as one."""
+
+
+class Step(NamedTuple):
+    """A descent, or the rounds of space mapping."""
+
+    name: str
+    problem: Problem
+    state: SearchState
+    spectra: Problem | None = None
+    """What proposes between the runs of space mapping, whose iterations have new points each. None is a descent, where
+    every start keeps its place."""
+
+
+class SearchHistory(NamedTuple):
+    """Steps of a search, in order."""
+
+    spec: TuneSpec
+    """The job, with the disturbance order that won."""
+    steps: list[Step]
+    """The last one holds the result."""
+    orders: dict[int, float]
+    """Score of each disturbance order after its descent [-]; ∞ where nothing held the hard goals."""
+
+
+def run_search(spec: TuneSpec, folder: Path | None = None, show: bool = False) -> SearchHistory:
+    """Descend from many points; on the arm that is done on spectra, which runs then correct.
+
+    Args:
+        spec: The job.
+        folder: Where the states are kept, from which the same call continues; None keeps none.
+        show: Whether to show progress.
+    """
+    jobs = [spec.with_order(order) for order in spec.tune.orders] or [spec]
+    firsts = [proposal(job, folder, show) for job in jobs]
+    orders = {
+        int(job.params.disturbance_order): float(one.state.best.min()) for job, one in zip(jobs, firsts, strict=True)
+    }
+    best = int(np.argmin(list(orders.values())))
+    job, steps = jobs[best], [firsts[best]]
+    if job.on_arm:
+        met = training(job, job.tune.train_seeds)
+        problem = problem_of(job, met)
+        spectra = spectra_of(job, problem, met)
+        z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)
+        state = refine(job, problem, spectra, z, folder, _file("mapping", job), show)
+        steps.append(Step("mapping", problem, state, spectra))
+    return SearchHistory(job, steps, orders)
+
+
+def proposal(spec: TuneSpec, folder: Path | None, show: bool) -> Step:
+    """The descent: from the given parameters and from random ones, horizons first soft."""
+    problem = problem_of(spec, training(spec, spec.tune.train_seeds), spectral=spec.on_arm)
+    z = screened(spec, problem, COARSE * spec.tune.starts if spec.on_arm else spec.tune.starts, show)
+    soft = any(axis.name in HORIZONS for axis in spec.space.axes)
+    plan = schedule(spec.tune.steps, soft, spec.tune.learning_rate)
+    name, file = ("spectra", "spectra") if spec.on_arm else ("linear", "")
+    return Step(name, problem, descend(spec, problem, z, plan, folder, _file(file, spec), show))
+
+
+def screened(spec: TuneSpec, problem: Problem, count: int, show: bool) -> np.ndarray:
+    """The given parameters first, then the most promising of many random ones: there is more than one valley."""
+    space = spec.space
+    drawn = space.draw(SCREENED * count, spec.tune.seed)
+    losses = []
+    with progress("screen", len(drawn), "points", show) as tick:
+        for part in np.split(drawn, SCREENED):
+            losses.append(problem.differentiate(part, 1.0).loss)
+            tick(count * len(losses), "")
+    order = np.argsort(np.concatenate(losses), stable=True)
+    return np.concatenate([space.encode(spec.params)[None], drawn[order[: count - 1]]])
+
+
+def proposed(spec: TuneSpec, state: SearchState, count: int) -> np.ndarray:
+    """Points to run first: the given parameters, and the best that differ, by score and then by goals.
+
+    Where there are fewer, those between the best ones fill up.
+    """
+    reached = np.isfinite(state.best)
+    vectors = np.where(reached[:, None], state.best_z, state.closest_z)
+    order = np.lexsort((state.closest, state.best))
+    chosen = [spec.space.encode(spec.params)]
+    for z in vectors[order]:
+        if len(chosen) < count and all(np.abs(z - other).mean() > SAME for other in chosen):
+            chosen.append(z)
+    for i in range(count - len(chosen)):
+        share = (i + 1) / (count - len(chosen) + 1)
+        chosen.append((1.0 - share) * vectors[order[0]] + share * vectors[order[min(1, len(order) - 1)]])
+    return np.stack(chosen)
+
+
+def _file(name: str, spec: TuneSpec) -> str:
+    order = f"order-{spec.params.disturbance_order}" if len(spec.tune.orders) > 1 else ""
+    return "-".join(["state", *filter(None, (name, order))]) + ".npz"
