@@ -27,7 +27,7 @@ from jaxmpc.law.ops import FLOATS
 from tests.deploy import made
 
 Rows = list[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]]
-MEDIAN, P99 = 80.0, 200.0
+MEDIAN, P99 = 60.0, 150.0
 """Bars of the recorded tick [µs]."""
 
 

@@ -44,8 +44,12 @@ class Ops(Protocol):
         """This where the condition holds, else that."""
 
 
+LARGEST_EXPONENT = 50.0
+"""Where an exponential of Python's own numbers, which would overflow, is held."""
+
+
 class _Floats:
-    """The functions on Python's own numbers; an exponential that would overflow is held at e⁵⁰."""
+    """The functions on Python's own numbers."""
 
     sin, cos = staticmethod(math.sin), staticmethod(math.cos)
     sqrt, log = staticmethod(math.sqrt), staticmethod(math.log)
@@ -57,7 +61,7 @@ class _Floats:
 
     @staticmethod
     def exp(value: float) -> float:
-        return math.exp(min(value, 50.0))
+        return math.exp(min(value, LARGEST_EXPONENT))
 
     @staticmethod
     def clip(value: float, low: float, high: float) -> float:

@@ -86,6 +86,55 @@ def test_identities_fold():
     assert recorded.function(7.0) == (7.0, 7.0, 7.0, 7.0, 0.0, 2.5)
 
 
+def test_signs_move_to_the_sums_that_take_them_up():
+    def signed(x, y):
+        return (
+            x + -y,
+            -x + y,
+            x - -y,
+            y + 3.0 * -x,
+            -x * -y,
+            -x / -y,
+            x - 0.5 * -y,
+            -x - 2.0,
+            1.0 - -x,
+            0.0 - -x,
+            -1.0 * -y,
+        )
+
+    recorded = compile_straightline(signed, (0.0, 0.0))
+    assert "(-" not in recorded.source
+    assert recorded.operations == 11  # two have a product too; the last two are x and y
+    for x, y in ((0.3, -2.0), (7.0, 0.7)):
+        assert recorded.function(x, y) == signed(x, y)
+
+
+def test_a_quotient_by_a_power_of_two_is_a_product():
+    def shared(x):
+        return x / 0.25, x / -64.0, x / 0.3, x / 2.0**-1074
+
+    recorded = compile_straightline(shared, (0.0,))
+    assert recorded.source.count("/") == 2  # 0.3 is none, and the last has no finite inverse
+    assert recorded.function(0.7) == shared(0.7)
+
+
+def test_what_is_used_once_has_no_name():
+    recorded = compile_straightline(lambda x, y: (x * y + 1.0) * (x * y - x / y), (0.0, 0.0))
+    assert recorded.source.count("\n    t") == 2  # x y, and what is returned
+    assert recorded.function(3.0, 2.0) == 7.0 * 4.5
+
+
+def test_sums_may_be_longer_than_python_nests():
+    def long(*terms):
+        total = 0.0
+        for term in terms:
+            total = total + term * 0.1
+        return total
+
+    terms = [math.sqrt(k) for k in range(1000)]
+    assert compile_straightline(long, (0.0,) * 1000).function(*terms) == long(*terms)
+
+
 def test_repeated_and_unused_operations_go():
     def wasteful(x, y):
         _ = x / y
@@ -141,7 +190,7 @@ def test_functions_of_the_law_are_those_of_its_floats():
         return OPS.exp(x), OPS.log(OPS.maximum(y, 1e-3)), OPS.minimum(0.5, x), OPS.maximum(x, y), OPS.minimum(2.0, 1.0)
 
     recorded = compile_straightline(bent, (0.0, 0.0))
-    assert recorded.operations == 5
+    assert recorded.operations == 6  # an exponential is held first
     for x, y in ((0.3, -2.0), (-1.0, 4.0), (700.0, 0.1), (1e4, 1e4)):
         expected = (FLOATS.exp(x), math.log(max(y, 1e-3)), min(0.5, x), max(x, y), 1.0)
         assert recorded.function(x, y) == expected == bent(x, y)
