@@ -15,14 +15,14 @@ import numpy as np
 
 from deploy.bus.bus import Bus
 from deploy.controller.file import load
-from deploy.loop.cycle import CycleResult, OperatorCommand
+from deploy.loop.cycle import OperatorCommand
 from deploy.loop.session import Options, Session
 from deploy.reference.segments import from_words
-from deploy.safety.machine import OperatingState
-from deploy.safety.reasons import Reason
+from deploy.twin.flight import Pilot
 from deploy.twin.lockstep import LockstepBus, LockstepClock
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
+from jaxmpc.world.heart.motion import Motion
 from tests.deploy import made
 
 MEDIAN, P99 = 80.0, 200.0
@@ -49,7 +49,7 @@ def main() -> int:
     parser.add_argument("--artifact", help="a controller for the arm (one of plain numbers)")
     parser.add_argument("--seconds", type=float, default=60.0)
     args = parser.parse_args()
-    twin = Twin(TwinSettings(gap=0.012, start=3.5, frame="tool"))
+    twin = Twin(TwinSettings(gap=0.012, motion=Motion(start=3.5), frame="tool"))
     clock = LockstepClock(twin)
     options = Options(from_words("0,0,-5@2", rate=5.0, largest=10.0), turns=True, tare=False)
     artifact = load(args.artifact) if args.artifact else made.arm_artifact()
@@ -66,16 +66,10 @@ def main() -> int:
     for (name, function), owner in zip(parts.items(), owners, strict=True):
         setattr(owner, function.__name__, timed[name])
 
-    def each(result: CycleResult) -> OperatorCommand:
-        if result.safety_state.state is OperatingState.ARMED and result.safety_state.cycles == 100:
-            twin.press("activate")
-        over = session.controller.contact_time >= args.seconds
-        return OperatorCommand(True, True, Reason.FINISHED if over else Reason.NONE)
-
     gc.collect()
     gc.freeze()
     gc.disable()
-    ended = session.run(OperatorCommand(True, True), None, each)
+    ended = session.run(OperatorCommand(True, True), None, Pilot(session, twin, args.seconds))
     gc.enable()
     print(f"{ended.safety_state.state}, {ended.safety_state.reason}; {ended.contact_cycles} cycles in contact")
     print(" " * 18 + "  elapsed: median      p99   own: median      p99  [µs]")

@@ -4,8 +4,9 @@ start ─► armed ─► pendant pressed ─► approach ─► contact, for so
 """
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from deploy.twin.lockstep import LockstepBus, LockstepClock
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 
-ACTIVATED = 200
+ACTIVATED = 100
 """Cycles in ARMED after which the pendant is pressed."""
 RATE = 5.0
 """Largest rate of the wanted force [N/s]."""
@@ -57,27 +58,41 @@ class TwinFlight:
         return float(np.mean(self.signals["clamped"][self.time >= settle] > 0.0))
 
 
-@dataclass
-class _Watcher:
-    """Presses the pendant, ends the flight, keeps the truth."""
+class Pilot:
+    """Whoever holds the pendant of a twin: presses it once the arm is armed, and ends contact after a time [s]."""
 
-    twin: Twin
-    seconds: float
-    session: Session
-    rows: list[int] = field(default_factory=list)
-    truth: list[tuple[float, ...]] = field(default_factory=list)
-    cycle: int = 0
+    def __init__(self, session: Session, twin: Twin, seconds: float) -> None:
+        """Wait for the arm."""
+        self._session, self._twin, self._seconds = session, twin, seconds
 
     def __call__(self, result: CycleResult) -> OperatorCommand:
+        """What is pressed after a cycle."""
         now = result.safety_state
         if now.state is OperatingState.ARMED and now.cycles == ACTIVATED:
-            self.twin.press("activate")
-        if now.state is OperatingState.CONTACT:
-            self.rows.append(self.cycle)
-            self.truth.append(self.twin.truth().force)
-        self.cycle += 1
-        over = self.session.controller.contact_time >= self.seconds
+            self._twin.press("activate")
+        over = self._session.controller.contact_time >= self._seconds
         return OperatorCommand(True, True, Reason.FINISHED if over else Reason.NONE)
+
+
+def started(
+    artifact: Artifact, clock: LockstepClock, reference: str, rate: float, **options: Any
+) -> tuple[Session, Bus]:
+    """Start a controller against a twin, whose bus is to be closed afterwards.
+
+    Args:
+        artifact: The controller.
+        clock: Of the twin.
+        reference: Wanted force in words, such as "0,0,-5@2 hold@5".
+        rate: Largest rate of it [N/s].
+        **options: Further fields of `Options`.
+
+    Raises:
+        InputError: It drives no arm, or the reference is wrong.
+    """
+    bus = Bus(LockstepBus(clock), clock.now)
+    source = from_words(reference, rate=rate, largest=10.0)
+    chosen = Options(source, rate, turns=False, hook=clock.twin.force_hook, **options)
+    return Session(artifact, bus, clock, chosen, lambda sentence: None), bus
 
 
 def fly(controller: Path, settings: TwinSettings, reference: str, seconds: float, recording: Path) -> TwinFlight:
@@ -94,16 +109,22 @@ def fly(controller: Path, settings: TwinSettings, reference: str, seconds: float
         ArtifactError: The file is no controller.
         InputError: It drives no arm, or the reference is wrong.
     """
-    artifact: Artifact = load(controller)
+    artifact = load(controller)
     clock = LockstepClock(Twin(settings))
-    bus = Bus(LockstepBus(clock), clock.now)
-    source = from_words(reference, rate=RATE, largest=10.0)
-    options = Options(source, RATE, turns=False, hook=clock.twin.force_hook, seconds=seconds + APPROACHING)
-    session = Session(artifact, bus, clock, options, lambda sentence: None)
-    watcher = _Watcher(clock.twin, seconds, session)
-    ended = session.run(OperatorCommand(True, True), None, watcher)
+    session, bus = started(artifact, clock, reference, RATE, seconds=seconds + APPROACHING)
+    pilot = Pilot(session, clock.twin, seconds)
+    contact: list[bool] = []
+    truth: list[tuple[float, ...]] = []
+
+    def each(result: CycleResult) -> OperatorCommand:
+        contact.append(result.safety_state.state is OperatingState.CONTACT)
+        if contact[-1]:
+            truth.append(clock.twin.truth().force)
+        return pilot(result)
+
+    ended = session.run(OperatorCommand(True, True), None, each)
     bus.close()
     said = session.write(recording, hashlib.sha256(controller.read_bytes()).hexdigest(), ended.safety_state)
-    signals = {name: rows[watcher.rows] for name, rows in session.recorder.signals().items()}
-    time = artifact.T_s * np.arange(len(watcher.rows))
-    return TwinFlight(ended, said, time, signals, np.array(watcher.truth).reshape(-1, 3))
+    signals = {name: rows[contact] for name, rows in session.recorder.signals().items()}
+    time = artifact.T_s * np.arange(len(truth))
+    return TwinFlight(ended, said, time, signals, np.array(truth).reshape(-1, 3))

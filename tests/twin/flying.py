@@ -5,21 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from deploy.bus.bus import Bus
 from deploy.controller.limits import Limits
 from deploy.loop.cycle import CycleResult, OperatorCommand
 from deploy.loop.loop import STATES, RunResult
-from deploy.loop.session import Options, Session
+from deploy.loop.session import Session
 from deploy.puck.codec import unpack_torques
-from deploy.reference.segments import from_words
 from deploy.safety.machine import OperatingState, SafetyState
 from deploy.safety.reasons import Reason
-from deploy.twin.lockstep import LockstepBus, LockstepClock
+from deploy.twin.flight import Pilot, started
+from deploy.twin.lockstep import LockstepClock
 from deploy.twin.scenario import twin_settings
 from deploy.twin.twin import Twin
-
-ACTIVATED = 100
-"""Cycles in ARMED after which the pendant is pressed."""
 
 
 @dataclass(frozen=True)
@@ -103,17 +99,15 @@ def fly(
         truth.append((seen.time, *seen.force))
 
     clock = LockstepClock(twin, watch)
-    bus = Bus(LockstepBus(clock), clock.now)
     frames: list[tuple[float, tuple[int, ...]]] = []
 
     def log(frame: Any, stamp: int, sent: bool) -> None:
         frames.append((1e-9 * stamp, unpack_torques(frame.data)))
 
-    source = from_words(reference, rate=20.0, largest=10.0)
-    options = Options(source, 20.0, turns=False, tare=tare, hook=twin.force_hook, log=log, seconds=record)
     if limits is not None:
         artifact = replace(artifact, arm=replace(artifact.arm, limits=limits))
-    session = Session(artifact, bus, clock, options, lambda sentence: None)
+    session, bus = started(artifact, clock, reference, 20.0, tare=tare, log=log, seconds=record)
+    pilot = Pilot(session, twin, seconds)
     safety_states: list[SafetyState] = []
     times: list[float] = []
     clamped = [0]
@@ -122,10 +116,7 @@ def fly(
         times.append(1e-9 * clock.now())
         safety_states.append(result.safety_state)
         clamped[0] += result.safety_state.state is OperatingState.CONTACT and result.clamp.acted
-        if result.safety_state.state is OperatingState.ARMED and result.safety_state.cycles == ACTIVATED:
-            twin.press("activate")
-        over = session.controller.contact_time >= seconds
-        return OperatorCommand(True, True, Reason.FINISHED if over else Reason.NONE)
+        return pilot(result)
 
     ended = session.run(OperatorCommand(True, True), None, each)
     bus.close()
