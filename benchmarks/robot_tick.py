@@ -2,7 +2,8 @@
 
 A tick is velocity filter → three cascades → computed torque → what was applied, told to the observers. Peers, in the
 same run and in turns of a thousand: the same law on Python floats, not recorded; and inverse dynamics by C MuJoCo with
-the rest in numpy, as one writes it without this package, and without a guard. All read the same inputs. "elapsed" is
+the rest in numpy, as one writes it without this package, and without a guard. All read the same inputs. "floor" is a
+chain of as many products and sums as `control` has, and nothing else: no state, no names, no function. "elapsed" is
 what the wall clock says, "own" what of it the processor spent on the tick: they differ where others use the machine.
 Then a million ticks, to see what stays behind.
 """
@@ -21,6 +22,7 @@ import numpy as np
 from benchmarks import mujoco_loop
 from deploy.controller.file import load
 from deploy.controller.runtimes import arm_runtime, flown_controller
+from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law import force_control
 from jaxmpc.law.gains import constant_reference
 from jaxmpc.law.ops import FLOATS
@@ -90,6 +92,15 @@ def by_mujoco(artifact: Any, rows: Rows) -> Callable[[int], Any]:
     return tick
 
 
+def floor(operations: int) -> Callable[[int], Any]:
+    def chain(x: Any) -> Any:
+        for _ in range(operations // 2):
+            x = 0.5 * x + 1.0
+        return x
+
+    return compile_straightline(chain, (0.0,)).function
+
+
 def times(ticks: dict[str, Callable[[int], Any]], rounds: int, n: int) -> dict[str, np.ndarray]:
     """Elapsed and own time of each tick (2, ticks) [µs], in turns so that all meet the same machine."""
     took: dict[str, list[tuple[int, int]]] = {name: [] for name in ticks}
@@ -144,14 +155,15 @@ def main() -> int:
     }
     apart = {name: float(np.max(np.abs(torque - torques["recorded"]))) for name, torque in torques.items()}
     ticks = {name: make(artifact, rows) for name, make in makers.items()}
+    operations = arm_runtime(artifact).operations
+    ticks["floor"] = floor(operations)
     found = times(ticks, 20, len(rows))
-    print(f"{arm_runtime(artifact).operations} operations; Python {sys.version.split()[0]}")
+    print(f"{operations} operations; Python {sys.version.split()[0]}")
     print(" " * 18 + "  elapsed: median      p99   own: median      p99  [µs]   torque beside the recorded [N m]")
     for name, took in found.items():
         elapsed, own = np.percentile(took, (50.0, 99.0), axis=1).T
-        print(
-            f"{name:<18}{elapsed[0]:>17.1f} {elapsed[1]:>8.1f}{own[0]:>14.1f} {own[1]:>8.1f}         {apart[name]:.1e}"
-        )
+        beside = f"{apart[name]:.1e}" if name in apart else "–"
+        print(f"{name:<18}{elapsed[0]:>17.1f} {elapsed[1]:>8.1f}{own[0]:>14.1f} {own[1]:>8.1f}         {beside}")
     print(left_behind(recorded(artifact, rows), args.ticks, len(rows)))
     median, p99 = np.percentile(found["recorded"][0], (50.0, 99.0))
     return int(median > MEDIAN or p99 > P99)

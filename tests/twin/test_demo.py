@@ -35,8 +35,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
     command = [sys.executable, "-m", "jaxmpc", "demo", "-o", str(folder)]
     # Rich breaks its tables at the width of the terminal.
     ran = subprocess.run(command, env=os.environ | {"COLUMNS": "160"}, capture_output=True, text=True, check=False)
-    print(ran.stdout)  # with the seconds of its steps
-    assert ran.returncode == 0, ran.stderr
+    assert ran.returncode == 0, ran.stdout + ran.stderr
     return Demo(folder, ran.stdout)
 
 
