@@ -5,13 +5,16 @@ import msgspec
 import numpy as np
 import pytest
 
+from deploy.controller import golden
 from deploy.controller.arm_model import ROBOT, ArmModel
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import load
 from deploy.controller.golden import replay
 from deploy.controller.limits import Limits
+from deploy.controller.runtimes import arm_runtime
 from jaxmpc import Experiment, Params, design
 from jaxmpc.experiment.reference import Ramp
+from jaxmpc.experiment.tables import Change
 from jaxmpc.export.freezing import freeze_controller, nominal_arm
 from jaxmpc.export.golden import ArmRun, arm_law_trace, simulated_arm_runs
 from jaxmpc.files.errors import InputError
@@ -38,26 +41,27 @@ def frozen(tmp_path_factory):
     return file, freeze_controller(file, Params(), SHORT, {"M_s": 5.0}, ideal=False, limits=folder / "limits.toml")
 
 
-def artifact_of(experiment, gains, run, answer):
+def artifact_of(experiment, gains, run, answer, K2=10.0):
     """The controller with this run as its golden trace, so that `replay` runs all of it."""
-    golden = {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
-    model = ArmModel.from_plain(nominal_arm(experiment, None), golden)
+    trace = {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
+    model = ArmModel.from_plain(nominal_arm(experiment, None), trace)
     gains = jax.tree.map(np.asarray, gains)
     rows, floor = [made.margin_row(810.0)], {"M_s": 2.0}
     preview = experiment.reference.preview
+    family = None if gains.schedule is None else {"band": 0.06, "rows": rows}
     return Artifact(
-        gains, 1e-3, 10.0, preview, made.LOOP, {}, rows, floor, {}, run.force, run.force_ref, answer.v, model
+        gains, 1e-3, K2, preview, made.LOOP, {}, rows, floor, {}, run.force, run.force_ref, answer.v, model, family
     )
 
 
 def deviations(experiment, params, stiffness):
     """Largest differences of v [-] and torque [N m] at each stiffness, over a whole simulated run."""
-    gains, found = design(params), []
+    gains, K2, found = design(params), float(params.K2), []
     for run in simulated_arm_runs(params, experiment, stiffness):
-        answer = arm_law_trace(gains, 10.0, experiment, run)
+        answer = arm_law_trace(gains, K2, experiment, run)
         assert np.ptp(answer.torque[:, 1]) > 1.0
         assert np.abs(answer.applied - answer.torque).max() > 1e-3
-        found.append(replay(artifact_of(experiment, gains, run, answer)))
+        found.append(replay(artifact_of(experiment, gains, run, answer, K2)))
     return found
 
 
@@ -73,6 +77,20 @@ def test_a_second_on_five_stiffnesses():
 def test_a_hundred_thousand_samples_on_five_stiffnesses():
     found = deviations(replace(TABLE, duration=100.0), Params(), STIFFNESS)
     assert max(torque for _, torque in found) <= TOLERANCE
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_samples_of_a_family_whose_tissue_turns_twice_as_stiff(monkeypatch):
+    flown = []
+    monkeypatch.setattr(golden, "arm_runtime", lambda artifact: flown.append(arm_runtime(artifact)) or flown[-1])
+    experiment = Experiment.published("family-wam")
+    tissue = replace(experiment.tissue, changes=(Change(at=40.0, factor=2.0, duration=0.2),))
+    experiment = replace(experiment, duration=100.0, tissue=tissue)
+    ((v, torque),) = deviations(experiment, Params.published("family"), (550.0,))
+    assert torque <= TOLERANCE
+    assert v <= TOLERANCE
+    # Only what has found a stiffness gives the schedule all of the control.
+    assert flown[0].authority == (1.0, 1.0, 1.0)
 
 
 @pytest.mark.oracle
