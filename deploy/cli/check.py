@@ -47,8 +47,11 @@ def run(args: argparse.Namespace) -> int:
     print(f"  T_s         {artifact.T_s:g} s\n  K2          {artifact.K2:g} 1/s\n  reference   {reference}")
     guard, gain = artifact.gains.guard, "not guarded: the same whatever the force does"
     if guard is not None:
-        once, lasting = guard.sensitivity**-0.5, guard.attention**-0.5
-        gain = f"guarded: falls when the force swings by some {once:.3g} N (RMS), or by {lasting:.3g} N for long"
+        once, lasting, held = guard.sensitivity**-0.5, guard.attention**-0.5, guard.relief**-0.5
+        gain = (
+            f"guarded: falls when the force swings by some {once:.3g} N (RMS), or by {lasting:.3g} N for long, "
+            f"or when the limits hold back {held:.3g} m/s²"
+        )
     print(f"  gain        {gain}")
     print(f"  schedule    {_schedule(artifact)}")
     print(f"  loop        {_loop(artifact)}")

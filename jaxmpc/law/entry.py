@@ -35,6 +35,6 @@ def expected_force(controller: Controller, state: ControllerState, ops: Ops) -> 
     expected = []
     for axis in state.axes:
         gains, _ = schedule.now(controller.gains, controller.K2, axis, ops)
-        gains = gains if state.guard is None else backed_off(gains, state.guard.memory.gain)
+        gains = gains if state.guard is None else backed_off(gains, state.guard.memory.gain, ops)
         expected.append(cascade.expected_force(gains, axis))
     return tuple(expected)

@@ -3,8 +3,8 @@
     q̇ from q,  vₖ per axis from the cascade,  a = v − K₂ ẋ,  τ from a by computed torque      [P] Fig. 1
 
 and, if wanted, what a nominal model says of the joints' friction on top of τ, or what an observer of their momentum
-takes for a disturbance. After `step` the limits may change the
-torques; `applied` tells the observers, at every sample, which torques they let pass, before anything rounds them.
+takes for a disturbance. After `step` the limits may change the torques; `applied` tells the observers and the guard, at
+every sample, which torques they let pass, before anything rounds them.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from jaxmpc.law.gains import Gains, backed_off
 from jaxmpc.law.measurement import Measurement, MeasurementState
 from jaxmpc.law.momentum_observer import MomentumState
 from jaxmpc.law.ops import Ops
-from jaxmpc.law.scalar import ZERO, Scalar, Vector, add, apply, plus, sub, times
+from jaxmpc.law.scalar import ZERO, Scalar, Vector, add, apply, dot, plus, sub, times
 
 NO_FRICTION = (0.0, 0.0, 0.0, 0.0)
 
@@ -147,7 +147,7 @@ def respond(
     for (axis, y), (_, dither, _), ahead, xdot in zip(filtered, heard, force_ref, speed, strict=True):
         known, K2 = schedule.now(gains, controller.K2, axis, ops)
         if guard is not None:
-            known = backed_off(known, guard.memory.gain)
+            known = backed_off(known, guard.memory.gain, ops)
         following, command = cascade.respond(known, axis, y, tuple(plus(wanted, dither) for wanted in ahead))
         damping.append(times(K2, xdot))
         axes.append(schedule.damped(following, damping[-1]))
@@ -199,14 +199,17 @@ def told(command: Command, passed: Vector) -> tuple[Vector, Vector]:
 
 
 def holding(state: ControllerState, v: Vector, change: Vector) -> ControllerState:
-    """The state whose observers take commands v [m/s²] and torques changed by so much [N m] for applied."""
+    """The state whose observers and guard take commands v [m/s²] and torques changed by so much [N m] for applied."""
     x, y, z = (axis._replace(v=each) for axis, each in zip(state.axes, v, strict=True))
-    momentum = state.momentum
+    guard, momentum = state.guard, state.momentum
+    if guard is not None:
+        held_back = sub(v, tuple(axis.v for axis in state.axes))
+        guard = guard._replace(held_back=dot(held_back, held_back))
     if momentum is not None:
         momentum = momentum._replace(accelerating=add(momentum.accelerating, change))
-    return state._replace(axes=(x, y, z), momentum=momentum)
+    return state._replace(axes=(x, y, z), guard=guard, momentum=momentum)
 
 
 def applied(state: ControllerState, command: Command, passed: Vector) -> ControllerState:
-    """Tell the observers what was really applied (anti-windup); as `told` and `holding`."""
+    """Tell observers and guard what was really applied (anti-windup); as `told` and `holding`."""
     return holding(state, *told(command, passed))

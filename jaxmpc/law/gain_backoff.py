@@ -1,4 +1,4 @@
-r"""Takes the loop's gain back while the force swings faster than a heart can, and remembers where that began.
+r"""Takes the loop's gain back while it swings or asks for more than the joints give, and remembers where that began.
 
 What swings at 20 Hz and above is the loop's own doing: a cable, or a tissue it was not designed for. With the force
 error ε = y − F_d, its fourth-order high-pass h, its second-order low-pass l, and their mean squares over the axes,
@@ -8,10 +8,16 @@ error ε = y − F_d, its fourth-order high-pass h, its second-order low-pass l,
 a swing is *large* by e, at once, or *lasting* by f, when its share w has been high for half a second,
 
     e = (s²/(S² + (ℓ² + d²)/4))⁴,   wₖ = wₖ₋₁ + η (s²/(N² + s² + ℓ²/300 + d²/10) − wₖ₋₁),   f = (w/W)¹⁶
-    φ = 1 − (1 − r e/(1 + e)) (1 − r′ f/(1 + f))
 
-and while it lasts the gain g falls. Where it stood lately, m, is where the swing began, and a ceiling c falls below
-that; the gain returns no further than to the ceiling, which rises so slowly that it probes once in a minute or more:
+and the torques are *overloaded* by o while the limits hold back much of the commands, Δv = v_applied − v. A loop that
+is quick while torques are held, or change as fast as they may, swings by that alone, the larger the more slowly: at a
+few hertz no filter tells it from a heart, and no linear margin knows of it.
+
+    oₖ = oₖ₋₁ + α (Σ Δvₖ²/(A² + Σ Δvₖ²) − oₖ₋₁),   p = (2 o)⁴
+    1 − φ = (1 − r e/(1 + e)) (1 − r p/(1 + p)) (1 − r′ f/(1 + f))
+
+While any of it lasts the gain g falls. Where it stood lately, m, is where that began, and a ceiling c falls below that;
+the gain returns no further than to the ceiling, which rises so slowly that it probes once in a minute or more:
 
     mₖ = mₖ₋₁ + μ (gₖ₋₁ − mₖ₋₁)
     cₖ = cₖ₋₁ + φ min(0, g_min + ρ (mₖ − g_min) − cₖ₋₁) + γ cₖ₋₁ (1 − cₖ₋₁)
@@ -42,6 +48,9 @@ INSISTENT = 0.66
 """W, share at which a lasting swing makes the gain fall half as fast as it can [-]: that of h of 0.05 N."""
 PACE, STEADY_PACE = 60.0, 4.0
 """Fastest relative fall of the gain while the swing is large, r/T_s, and while it lasts, r′/T_s [1/s]."""
+HELD_BACK = 5.0
+"""A, commands that the limits hold back, Euclidean norm over the axes, at which the torques count as half overloaded
+[m/s²]: some 8 N·m of the second joint's 50."""
 LATELY = 0.5
 """Time constant of the gain that is remembered [s]: longer than a fall takes, shorter than a return."""
 BELOW = 0.6
@@ -67,6 +76,8 @@ class GainBackoff(NamedTuple):
     """1/S² [1/N²]"""
     attention: Annotated[Scalar, _PER_SQUARE]
     """1/N² [1/N²]"""
+    relief: Annotated[Scalar, _PER_SQUARE]
+    """1/A² [s⁴/m²]"""
     patience: Annotated[Scalar, _SHARE]
     """η [-]"""
     pace: Annotated[Scalar, _SHARE]
@@ -106,6 +117,10 @@ class BackoffState(NamedTuple):
     """d² [N²]"""
     share: Scalar
     """w [-]"""
+    overload: Scalar
+    """o [-]"""
+    held_back: Scalar
+    """ΣΔv² of the last commands, which whoever applies the limits has to tell [m²/s⁴]"""
 
 
 def constants(T_s: Scalar, ops: Ops) -> GainBackoff:
@@ -116,6 +131,7 @@ def constants(T_s: Scalar, ops: Ops) -> GainBackoff:
         forgetting=1.0 - ops.exp(-T_s / MEMORY),
         sensitivity=1.0 / LIMIT**2 + here,
         attention=1.0 / NOTICED**2 + here,
+        relief=1.0 / HELD_BACK**2 + here,
         patience=T_s / PATIENCE,
         pace=PACE * T_s,
         steady_pace=STEADY_PACE * T_s,
@@ -128,7 +144,7 @@ def constants(T_s: Scalar, ops: Ops) -> GainBackoff:
 def init(zero: Scalar = 0.0) -> BackoffState:
     """Full gain, no error yet; numbers in the form of `zero`."""
     one, axes = 1.0 + zero, (zero,) * 3
-    return BackoffState(BackoffMemory(one, one, one), (axes, axes, axes, axes), zero, zero, zero, zero)
+    return BackoffState(BackoffMemory(one, one, one), (axes, axes, axes, axes), zero, zero, zero, zero, zero, zero)
 
 
 def taken(memory: BackoffMemory, ops: Ops) -> Scalar:
@@ -165,10 +181,15 @@ def step(guard: GainBackoff, state: BackoffState, error: Vector, ops: Ops, dithe
     # e/(1 + e) from its root's, so that no power of a force that runs away overflows.
     root = large * large / (1.0 + large * large)
     at_once = guard.pace * root * root / (1.0 - 2.0 * root * (1.0 - root))
+    held = guard.relief * state.held_back
+    overload = state.overload + guard.forgetting * (held / (1.0 + held) - state.overload)
+    overloaded = 4.0 * overload * overload
+    overloaded = overloaded * overloaded
     lasting = share / INSISTENT
     for _ in range(4):
         lasting = lasting * lasting
     left = (1.0 - at_once) * (1.0 - guard.steady_pace * lasting / (1.0 + lasting))
+    left = left * (1.0 - guard.pace * overloaded / (1.0 + overloaded))
 
     gain, ceiling, lately = state.memory
     lately = lately + guard.remembrance * (gain - lately)
@@ -176,7 +197,8 @@ def step(guard: GainBackoff, state: BackoffState, error: Vector, ops: Ops, dithe
     ceiling = ceiling + (1.0 - left) * lower + guard.probing * state.memory.ceiling * (1.0 - state.memory.ceiling)
     gain = LEAST + left * (gain + guard.recovery * (ceiling - gain) - LEAST)
     memory = BackoffMemory(gain, ceiling, lately)
-    return BackoffState(memory, (first, second, third, fourth), swing, drift, heard, share)
+    stages = first, second, third, fourth
+    return BackoffState(memory, stages, swing, drift, heard, share, overload, 0.0 * state.held_back)
 
 
 def _passed(pole: Scalar, state: Vector, value: Vector) -> Vector:

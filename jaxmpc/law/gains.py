@@ -5,6 +5,7 @@ from typing import Annotated, Any, NamedTuple
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.gain_backoff import GainBackoff
 from jaxmpc.law.identification import StiffnessIdentification
+from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Constant, Scalar
 
 Vector = Any
@@ -78,19 +79,28 @@ def with_gain(gains: Gains, gain: Scalar) -> Gains:
     )
 
 
-def backed_off(gains: Gains, gain: Scalar) -> Gains:
-    """The same controller with less gain, its integral action slower by as much again: stable however low the gain.
+def backed_off(gains: Gains, gain: Scalar, ops: Ops) -> Gains:
+    """The same controller with a share g of its gain, half of it taken by a slower loop.
 
-    The active state integrates what the loop has not yet made good. Were it as quick as ever, a slow loop would swing
-    slowly; so its gain is scaled by g once more than in `with_gain`, that of its j-th difference by gʲ more.
+    `with_gain` alone leaves the closed loop of observer and state feedback as quick as it was: torques that the limits
+    hold would swing in that for ever. So √g goes into the model's gain, and with √g the poles of the state feedback
+    move towards zero: each gain on a derivative by √g less than the one below it. The active state integrates what the
+    loop has not yet made good; so that a slow loop does not swing slowly, its gain falls by √g more, that of its j-th
+    difference by √gʲ more.
     """
-    scaled = with_gain(gains, gain)
+    slow = ops.sqrt(gain)
+    scaled = with_gain(gains, slow)
     K_1, K_2, K_3, *K_p = scaled.K
-    slower, factor = [], gain
+    slower, factor = [], slow
     for each in K_p:
-        slower.append(factor * each)
-        factor = factor * gain
-    return scaled._replace(K=(K_1, K_2, K_3, *slower))
+        slower.append(factor * slow * each)
+        factor = factor * slow
+    return scaled._replace(
+        K=(K_1, K_2, slow * K_3, *slower),
+        L=(gain * scaled.L[0], slow * scaled.L[1], slow * scaled.L[2]),
+        input_gain=gain * scaled.input_gain,
+        mpc_x=(scaled.mpc_x[0], scaled.mpc_x[1] / slow),
+    )
 
 
 def constant_reference(gains: Gains) -> Gains:

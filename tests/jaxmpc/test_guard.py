@@ -3,7 +3,8 @@
 import math
 import re
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +14,8 @@ import scipy.signal
 from msgspec.structs import replace
 
 from jaxmpc import Experiment, InputError, Params, design
-from jaxmpc.law import gain_backoff
-from jaxmpc.law.gains import Gains, backed_off, with_gain
+from jaxmpc.law import cascade, gain_backoff, schedule
+from jaxmpc.law.gains import Gains, backed_off, constant_reference, with_gain
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.stability.response import controller_response
@@ -34,11 +35,11 @@ def swinging(seconds: float = 0.8) -> np.ndarray:
     return np.stack([0.2 * slow + swell, 0.1 * slow - 0.5 * swell, 0.3 * slow + 0.2 * swell], 1)
 
 
-def over(error: np.ndarray) -> list[gain_backoff.BackoffMemory]:
-    """What is remembered after every sample."""
+def over(error: np.ndarray, held_back: np.ndarray | None = None) -> list[gain_backoff.BackoffMemory]:
+    """What is remembered after every sample; the limits may hold back commands of so much [m²/s⁴]."""
     state, found = gain_backoff.init(), []
-    for sample in error.tolist():
-        state = gain_backoff.step(GUARD, state, sample, FLOATS)
+    for sample, held in zip(error.tolist(), np.zeros(len(error)) if held_back is None else held_back, strict=True):
+        state = gain_backoff.step(GUARD, state._replace(held_back=float(held)), sample, FLOATS)
         found.append(state.memory)
     return found
 
@@ -50,7 +51,8 @@ def gains_over(error: np.ndarray) -> np.ndarray:
 
 def test_the_gain_is_that_of_scipys_filters() -> None:
     """The formulas of the module over low-passes P = (1 − p)/(1 − p z⁻¹) and high-passes 1 − P by scipy."""
-    error = swinging()
+    error, held_back = swinging(), np.zeros(800)
+    held_back[20:60] = 1e3
     p, a = math.exp(-gain_backoff.CORNER * T_S), gain_backoff
     alpha, least = 1.0 - math.exp(-T_S / a.MEMORY), a.LEAST
 
@@ -64,16 +66,21 @@ def test_the_gain_is_that_of_scipys_filters() -> None:
     swing, drift = mean_square([p, -p], 4), mean_square([1.0 - p], 2)
     seen = swing / (a.NOTICED**2 + swing + drift / 300.0)
     share = scipy.signal.lfilter([T_S / a.PATIENCE], [1.0, T_S / a.PATIENCE - 1.0], seen)
+    overload = scipy.signal.lfilter([alpha], [1.0, alpha - 1.0], held_back / (a.HELD_BACK**2 + held_back))
+    large, lasting = (swing / (a.LIMIT**2 + drift / 4.0)) ** 4, (share / a.INSISTENT) ** 16
     g = m = c = 1.0
     expected = []
-    for e, f in zip((swing / (a.LIMIT**2 + drift / 4.0)) ** 4, (share / a.INSISTENT) ** 16, strict=True):
-        fall = 1.0 - (1.0 - a.PACE * T_S * e / (1.0 + e)) * (1.0 - a.STEADY_PACE * T_S * f / (1.0 + f))
+    for e, f, over_it in zip(large, lasting, (2.0 * overload) ** 4, strict=True):
+        at_once = (1.0 - a.PACE * T_S * e / (1.0 + e)) * (1.0 - a.PACE * T_S * over_it / (1.0 + over_it))
+        fall = 1.0 - at_once * (1.0 - a.STEADY_PACE * T_S * f / (1.0 + f))
         m += T_S / a.LATELY * (g - m)
         c = c + fall * min(0.0, least + a.BELOW * (m - least) - c) + T_S / a.PROBE * c * (1.0 - c)
         g = least + (1.0 - fall) * (g + T_S / a.RETURN * (c - g) - least)
         expected.append((g, c, m))
-    found = over(error)
-    assert min(memory.gain for memory in found) < 0.5, "the swing acts"
+    found = over(error, held_back)
+    gain = np.array([memory.gain for memory in found])
+    assert gain[60] < 0.5, "what is held back acts"
+    assert gain.min() < 0.3 * gain[60], "the swing acts"
     # The same sums in another order: a difference of poles near 1 costs scipy's filter some digits.
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
@@ -203,15 +210,86 @@ def test_every_gain_that_is_left_is_stable_on_soft_tissue(name: str, delay: int)
     params = Params.published(name)
     gains = jax.tree.map(jnp.asarray, design(params, force_filter=path.force_filter))
 
-    def radius(scaled: Callable[..., Gains], gain: float, stiffness: float) -> float:
-        less = scaled(gains, gain)
-        less = less._replace(gamma=jnp.stack(less.gamma), K=jnp.stack(less.K), L=jnp.stack(less.L))
-        return float(spectral_radius(closed_loop_matrix(less, contact_of(stiffness, params.K2, path))))
+    @partial(jax.jit, static_argnums=0)
+    def radius(scaled: Callable[[float], Gains], gain: float, stiffness: float) -> jax.Array:
+        less = jax.tree.map(jnp.asarray, scaled(gain), is_leaf=lambda leaf: type(leaf) is tuple)
+        return spectral_radius(closed_loop_matrix(less, contact_of(stiffness, params.K2, path)))
+
+    def slower(gain: float) -> Gains:
+        return backed_off(gains, gain, ops)
+
+    def lower(gain: float) -> Gains:
+        return with_gain(gains, gain)
 
     tissues = np.geomspace(300.0, 2200.0, 5)[: 5 if name == "cautious" else 3]
     for gain in np.geomspace(gain_backoff.LEAST, 1.0, 9):
-        assert max(radius(backed_off, gain, stiffness) for stiffness in tissues) < 1.0
-    assert (radius(with_gain, 0.25, 375.0) > 1.0) == (name == "text")
+        assert max(radius(slower, gain, stiffness) for stiffness in tissues) < 1.0
+    assert (radius(lower, 0.25, 375.0) > 1.0) == (name == "text")
+
+
+class Held(NamedTuple):
+    """A frictionless axis of the arm whose acceleration is limited, and so is its change [m/s², and per sample].
+
+    They are those of 50 N·m, and 10 N·m a sample, of the second joint.
+    """
+
+    gains: Gains
+    K2: float
+    most: float = 34.0
+    step: float = 7.0
+
+    def beat(self, stiffness: float, rise: float, size: float, told: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Force [N] over four seconds in which a heart [m] jumps once, and whether a limit acted; guard told or not."""
+        axis, guard = cascade.init(self.gains, 0.0), gain_backoff.init()
+        sent = pending = x = speed = believed = before = 0.0
+        found = []
+        for k in range(4000):
+            phase = min(max(k * T_S - 0.5, 0.0), 2.0 * rise) / rise
+            force = stiffness * (x - 0.5 * size * (1.0 - math.cos(math.pi * phase)))
+            guard = gain_backoff.step(GUARD, guard, (0.0, 0.0, force), FLOATS)
+            axis, v = cascade.respond(backed_off(self.gains, guard.memory.gain, FLOATS), axis, force, (0.0,))
+            # Two cut-offs as of the published arm's velocities, at 300 rad/s.
+            believed, before = believed + (1.0 - math.exp(-0.3)) * ((x - before) / T_S - believed), x
+            asked = v - self.K2 * believed
+            sent = FLOATS.clip(FLOATS.clip(asked, -self.most, self.most), sent - self.step, sent + self.step)
+            axis = axis._replace(v=v + sent - asked)
+            if told:
+                guard = guard._replace(held_back=(sent - asked) ** 2)
+            x, speed = x + speed * T_S + 0.5 * pending * T_S**2, speed + pending * T_S
+            pending = sent
+            found.append((force, sent != asked))
+        forces, held = np.array(found).T
+        return forces, held
+
+
+@pytest.fixture(scope="module")
+def family() -> Gains:
+    """The published family, in plain floats."""
+
+    def floats(node: Any) -> Any:
+        if isinstance(node, tuple):
+            return type(node)(*map(floats, node)) if hasattr(node, "_fields") else tuple(map(floats, node))
+        return None if node is None else floats(tuple(node)) if np.ndim(node) else float(node)
+
+    found: Gains = constant_reference(floats(design(Params.published("family"))))
+    return found
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["fixed gains", "gains for the tissue"])
+@pytest.mark.parametrize("stiffness", [375.0, 1150.0, 1900.0])
+def test_torques_that_the_limits_hold_come_to_rest(family: Gains, stiffness: float, known: bool) -> None:
+    """A heart that jumps by 15 mm in 50 ms asks for more than there is; without friction nothing else ends it."""
+    gains, K2 = family._replace(schedule=None), float(Params.published("family").K2)
+    if known:
+        assert family.schedule is not None
+        gains, K2 = schedule.at(family.schedule, math.log(stiffness), FLOATS)
+    loop = Held(gains, K2)
+    force, held = loop.beat(stiffness, rise=0.05, size=0.015, told=True)
+    assert held.any()
+    assert not held[-2000:].any()
+    assert np.abs(force[-1000:]).max() < 0.05
+    _, held = loop.beat(stiffness, rise=0.05, size=0.015, told=False)
+    assert held[-1000:].mean() > 0.5 or (stiffness == 375.0 and not known), "it is the guard that ends it"
 
 
 @pytest.mark.parametrize(
