@@ -41,9 +41,9 @@ def of_two(small: Job) -> Callable[..., TuneSpec]:
     params = {"published": "family", "knots": knots, "listening": {"stiffness": list(PLACES)}}
 
     def job(**tables: Any) -> TuneSpec:
-        base = {"experiment": {"published": "family-wam", "stiffness": list(PLACES)}, "goals": MARGIN_GOALS}
-        changed = {name: {**base.get(name, {}), **tables.get(name, {})} for name in (*base, *tables)}
-        return TuneSpec.from_dict(small(params={**params, **tables.get("params", {})}, **changed))
+        experiment = {"published": "family-wam", "stiffness": list(PLACES)}
+        base: dict[str, Any] = {"experiment": experiment, "params": params, "goals": MARGIN_GOALS}
+        return TuneSpec.from_dict(small(**{n: {**base.get(n, {}), **tables.get(n, {})} for n in (*base, *tables)}))
 
     return job
 
@@ -156,8 +156,8 @@ def test_fixed_gains_that_stay_and_miss_a_goal_are_refused(of_two: Callable[...,
 @in_float64
 def test_slopes_of_risk_and_of_every_constraint_are_central_differences(of_two: Callable[..., TuneSpec]) -> None:
     """Step 1e-5: rounding and curvature leave some 1e-7 of each row's largest slope; values from each knot's design."""
-    knots = {"lam": True, "Q_p": True, "T_cl": True, "Khat_s": True}
-    spec = of_two(tune={"free": {"lam": True, "knots": knots}, "tied": ["T_cl", "Khat_s"], "margin_points": 3})
+    knots = {"lam": True, "Q_x": True, "T_cl": True, "Khat_s": True}
+    spec = of_two(tune={"free": {"lam": True, "knots": knots}, "tied": ["Q_x", "Khat_s"], "margin_points": 3})
     names, met = spec.space.names, training(spec, (0,))
     problem = problem_of(spec, met, spectral=True)
     assert problem.hard_goals == ("chatter",)
@@ -190,13 +190,14 @@ def test_slopes_of_risk_and_of_every_constraint_are_central_differences(of_two: 
     path = spec.experiment.loop_path()
     known, ratios = judged_where(spec.params.listening, *FEWER)
     of_margins = values[1:-tissues].reshape(goals, -1)
-    judged = family_margins(spec.params, known, ratios, path)
+    params = spec.space.exact(z)
+    judged = family_margins(params, known, ratios, path)
     for row, (name, limit) in zip(of_margins[:, ~fixed], spec.margin_goals.items(), strict=True):
         found = np.ravel(getattr(judged, name))
         inverse = limit / found if MARGINS[name].ceiling else found / limit
         np.testing.assert_allclose(row, 1.0 + HEADROOM - inverse, atol=1e-9, rtol=0)
     spectrum, left = spectrum_of(met[0]), []
-    for knot, place in zip(spec.params.knots, PLACES, strict=True):
+    for knot, place in zip(params.knots, PLACES, strict=True):
         gains = design(knot, spec.experiment.timing, path.force_filter)
         left.append(soft_worst(residual_rms(gains, contact_of(place, knot.K2, path), spectrum) / spec.soft["rms"]))
     assert values[0] == pytest.approx(float(np.mean(np.log(left))), abs=1e-9)
