@@ -17,7 +17,7 @@ from jaxmpc.spectra.spectrum import spectrum_of
 from jaxmpc.stability.family import family_margins, judged_where
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.xla.precision import in_float64
-from tuning import TuneSpec, tune
+from tuning import TuneSpec
 from tuning.job.risk import soft_worst
 from tuning.objective.loss import HEADROOM
 from tuning.objective.problem import FEWER, coarser, judged_cells, problem_of, training
@@ -201,48 +201,3 @@ def test_slopes_of_risk_and_of_every_constraint_are_central_differences(of_two: 
         gains = design(knot, spec.experiment.timing, path.force_filter)
         left.append(soft_worst(residual_rms(gains, contact_of(place, knot.K2, path), spectrum) / spec.soft["rms"]))
     assert values[0] == pytest.approx(float(np.mean(np.log(left))), abs=1e-9)
-
-
-QUIET = {
-    "sensor": {"lsb": [0.0, 0.0, 0.0]},
-    "arm": {
-        "encoder_counts": 0,
-        "torque_lsb": 0.0,
-        "torque_limit": [100.0] * 4,
-        "joint_torque_limit": [0.0] * 4,
-        "torque_step_limit": [0.0] * 4,
-    },
-    "reference": {"z": []},
-}
-"""Without quantisers and saturation: their tangent is straight-through on purpose, which no difference sees."""
-HASTY = {"stiffness": list(PLACES), "lock_in": 0.05, "averaging": 0.1, "confidence": 1.0, "band": 0.5}
-"""Listens for half a second only, so that the schedule has some control within a second."""
-
-
-@pytest.mark.slow
-@in_float64
-def test_the_gradient_by_runs_goes_through_design_schedule_and_loop(of_two: Callable[..., TuneSpec]) -> None:
-    """Step 1e-5. The schedule is switched by clips, whose corners a step seldom meets: they leave some 1e-5."""
-    tune = {"starts": 2, "duration": 1.6, "settle": 1.2, "free": {"knots": {"lam": True, "Q_p": True}}, "tied": ["Q_p"]}
-    spec = of_two(experiment=QUIET, params={"listening": HASTY}, tune=tune, goals={"M_s": 50.0, "soft": {"rms": 0.05}})
-    problem, z, h = problem_of(spec, training(spec, (0,))), spec.space.encode(spec.params), 1e-5
-    found = problem.differentiate(np.tile(z, (2, 1)), 2.0)
-    pairs = [problem.differentiate(z + h * np.outer([1.0, -1.0], e), 2.0).loss for e in np.eye(len(z))]
-    expected = np.array([(up - down) / (2.0 * h) for up, down in pairs])
-    assert (np.abs(expected) > 1e-4).all(), "every axis acts, so the schedule has flown"
-    np.testing.assert_allclose(found.gradient[0], expected, atol=1e-4 * np.abs(expected).max(), rtol=0)
-
-
-@pytest.mark.slow
-def test_a_small_job_improves_and_comes_with_its_proof(of_two: Callable[..., TuneSpec], tmp_path: Path) -> None:
-    """From knots that the text design's numbers make."""
-    knots = [{"Khat_s": place, "K2": 0.02, "Hp": 17, "Hu": 7} for place in PLACES]
-    tune_table = {"starts": 1, "steps": 40, "mapping": 3, "duration": 10.0, "settle": 8.0, "heldout_seeds": [1000]}
-    experiment = {"duration": 10.0, "settle": 8.0}
-    spec = of_two(experiment=experiment, params={"knots": knots}, tune=tune_table, goals={"soft": {"rms": 0.03}})
-    result = tune(spec, tmp_path)
-    assert result.met, result.unmet()
-    assert np.nanmin(result.state.score) < 0.9 * result.steps[0].state.score[0, 0]
-    assert result.params.to_dict() == Params.from_toml(tmp_path / "params.toml").to_dict()
-    assert result.known[1].margins.M_s.max() <= 2.0
-    assert "of the knot at" in (tmp_path / "report.txt").read_text()
