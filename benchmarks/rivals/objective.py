@@ -94,6 +94,7 @@ def pi_control(z: Array, data: Data, structure: ProblemStructure) -> ClosedLoops
 def judged(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> ObjectiveValues:
     """Loss of closed loops, as the tuner has it; traceable."""
     found = evaluate_goals(loops, data, structure)
-    worst = jnp.max(jnp.stack([jnp.max(found.margins.normalised, axis=(1, 2), initial=0.0), *found.hard]), axis=0)
+    of_margins = jnp.max(found.margins.normalised, axis=(1, 2), initial=0.0)
+    worst = jnp.max(jnp.stack([of_margins, *(jnp.max(goal, axis=1) for goal in found.hard)]), axis=0)
     score, hard = jnp.where(found.stable, found.risk, jnp.nan), jnp.where(found.stable, worst, jnp.inf)
     return ObjectiveValues(found.loss, score, hard)

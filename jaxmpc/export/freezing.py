@@ -23,7 +23,7 @@ from jaxmpc.files.toml import located, read_toml
 from jaxmpc.law.gain_backoff import GainBackoff
 from jaxmpc.law.gains import Gains
 from jaxmpc.quantities import MARGINS
-from jaxmpc.stability.family import family_margins
+from jaxmpc.stability.family import family_margins, judged_where
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.arm import chain
 from jaxmpc.world.loop_path import LoopPath
@@ -34,8 +34,6 @@ GOLDEN_FROM, GOLDEN_SAMPLES = 2.0, 512
 """Start [s] and length [samples] of the golden trace: the ramp's end, with the heart already moving."""
 LISTENING = 5.0
 """Length of the golden trace where there is a schedule: from contact on, until the schedule has the control [s]."""
-KNOWN, RATIOS = 25, 5
-"""Known stiffnesses, log-spaced between the outer knots, and K_s/K̂ over the band, at which a schedule is judged."""
 SWING_HZ, SWING = 40.0, 1.6
 """Frequency [Hz], and RMS over the guard's limit [-], of what a guarded controller's golden force swings besides: a
 calm one would not tell what the guard does. At 40 Hz the answer takes a third of the torque that joints are allowed."""
@@ -130,11 +128,10 @@ def _rows(params: Params, experiment: Experiment, loop: LoopPath) -> list[dict[s
 def _family(params: Params, loop: LoopPath) -> dict[str, Any]:
     """Worst margins over the band of K_s/K̂ that the identification leaves, with K̂ held at and between the knots."""
     assert params.listening is not None
-    places, band = params.listening.stiffness, params.listening.band
-    stiffness = np.unique([*places, *np.geomspace(places[0], places[-1], KNOWN)])
-    found = family_margins(params, stiffness, np.linspace(1.0 - band, 1.0 + band, RATIOS), loop)
+    stiffness, ratios = judged_where(params.listening)
+    found = family_margins(params, stiffness, ratios, loop)
     worst = {name: MARGINS[name].worst(np.asarray(getattr(found, name)), axis=1) for name in MARGINS}
-    return {"band": band, "rows": _tables(stiffness, worst)}
+    return {"band": params.listening.band, "rows": _tables(stiffness, worst)}
 
 
 def _tables(stiffness: np.ndarray, found: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -13,11 +13,10 @@ from jaxmpc.limit.least import LINES, ROBOT, Demands, Limit, least
 from jaxmpc.quantities import AXES
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
 from jaxmpc.stability import margins
-from jaxmpc.stability.family import family_margins, frozen
+from jaxmpc.stability.family import family_margins, gains_on
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import controller_response
-from jaxmpc.synthesis import design
-from jaxmpc.synthesis.params import Params, Timing
+from jaxmpc.synthesis.params import Params
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.precision import in_float64
 
@@ -81,14 +80,12 @@ def left_by(
     ratios = np.linspace(1.0 - band, 1.0 + band, 3 if band else 1)
     if params.listening is None:
         M_s = float(np.max(margins(params, stiffness * ratios, path=path).M_s))
-        gains, K2 = design(params, Timing(path.T_s), path.force_filter), params.K2
     else:
         M_s = float(np.max(family_margins(params, [stiffness], ratios, path).M_s))
-        known, damping, _ = frozen(params, [stiffness], path)
-        gains, K2 = jax.tree.map(lambda leaf: leaf[0], known), damping[0]
     if not np.isfinite(M_s):
         nan = float("nan")
         return Judged(nan, nan, nan, nan, nan, nan, M_s)
+    gains, K2 = jax.tree.map(lambda leaf: leaf[0], gains_on(params, [stiffness], path))
     contact = contact_of(stiffness, K2, path)
     return judged(
         lambda theta: controller_response(gains, jnp.exp(-1j * theta)), contact, spectrum, AXES.index(axis), M_s

@@ -241,8 +241,8 @@ def test_only_peaks_of_a_margin_are_active(result: TuneResult) -> None:
     M_s = np.array([[2.5] * 8, [1.97, 1.99, 1.97, 1.5, 1.0, 1.0, 1.95, 1.96]])[:, : len(result.spec.judged_at)]
     judged = result.margins["as run"]._replace(M_s=M_s)
     found = active_margins(replace(result, margins={"as run": judged, "ideal": judged}))
-    assert [(name, normalised) for name, _, normalised in found][:1] == [("M_s", pytest.approx(0.995))]
-    assert found[0][1] == result.spec.judged_at[1]
+    assert (found[0].goal, found[0].normalised) == ("M_s", pytest.approx(0.995))
+    assert found[0].stiffness == result.spec.judged_at[1]
 
 
 def test_what_limits_it_in_words(result: TuneResult, study: Study) -> None:

@@ -51,6 +51,7 @@ class Data(NamedTuple):
     judged_at: Any
     reference: Any
     correction: None = None
+    believed: None = None
 
 
 class Analytic(Problem):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxmpc import Experiment, Params
+from jaxmpc import Params
 from jaxmpc.files.errors import InputError
 from tuning import TuneSpec
 from tuning.job.space import FREE
@@ -111,9 +111,3 @@ def test_python_meets_the_same_checks() -> None:
     spec = TuneSpec.from_dict({})
     with pytest.raises(InputError, match="one controller"):
         TuneSpec(spec.experiment, Params.stack([spec.params, spec.params]))
-
-
-def test_a_family_is_refused_rather_than_tuned_in_part() -> None:
-    with pytest.raises(InputError, match=r"params\.knots") as refused:
-        TuneSpec(experiment=Experiment.published("table-1"), params=Params.published("family"))
-    assert "each knot" in refused.value.remedy

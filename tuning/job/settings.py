@@ -44,6 +44,8 @@ class TuneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Precision of the time stepping. Float64 is also faster on a CPU: adjoints of float32 end in subnormals."""
     diagonals: tuple[Literal["lam", "delta"], ...] = ()
     """Free parameters of which each diagonal entry is tuned by itself."""
+    tied: tuple[str, ...] = ()
+    """Free parameters of the knots that all knots have in common; of the stiffness assumed, the ratio to their own."""
 
     def check(self) -> None:
         """Refuse what contradicts itself.

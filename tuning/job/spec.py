@@ -15,16 +15,17 @@ from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.sealed import digest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
-from jaxmpc.quantities import HIGHEST_M_S, HORIZONS, MARGINS, PARAMETERS, Quantity
+from jaxmpc.quantities import HIGHEST_M_S, MARGINS, Quantity
+from jaxmpc.stability.family import judged_where
 from jaxmpc.synthesis.params import Params
-from tuning.job.goals import GOALS, MEASURED
+from tuning.job.axes import axes_of, check_axis, free_table
+from tuning.job.goals import GOALS, MEASURED, OVERSHOOT
 from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
-from tuning.job.space import FREE, SearchSpace, axis_of
+from tuning.job.space import FREE, FREE_OF_KNOTS, KNOTS, Bounds, SearchSpace, axis_of
 
-Bounds = tuple[float, float]
 HARD = {"M_s": HIGHEST_M_S}
 """What is held unless the job says otherwise."""
 SOFT = {"rms": 0.05}
@@ -71,20 +72,30 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
                 _check_goals({name: limit}, "pareto", GOALS)
         if self.params.batch_shape:
             raise InputError("params", f"a batch {self.params.batch_shape}", "one controller", "Give one start point.")
-        if self.params.knots:
-            remedy = "A search moves one controller: tune each knot as one, at its stiffness, and put them together."
-            raise InputError("params.knots", f"{len(self.params.knots)} of them", "left out", remedy)
         if not self.free:
             raise InputError("tune.free", "empty", "at least one parameter", f"Free by default: {', '.join(FREE)}.")
-        for name, bounds in self.free.items():
-            _check_bounds(name, bounds, self.params)
-        for name in self.tune.diagonals:
-            if name not in self.free:
-                raise InputError("tune.diagonals", name, "a free parameter", f"Add `{name} = true` to [tune.free].")
-        for name in self.free:
-            if name not in self.tune.diagonals and getattr(self.params, name).ndim:
-                remedy = f'Add "{name}" to tune.diagonals, or start from one number.'
-                raise InputError(f"params.{name}", "a diagonal", "one number to be tuned as one", remedy)
+        self._check_knots()
+        for key, prefix in (("diagonals", ""), ("tied", KNOTS)):
+            for name in getattr(self.tune, key):
+                if prefix + name not in self.free:
+                    remedy = f"Add `{prefix}{name} = true` to [tune.free]."
+                    raise InputError(f"tune.{key}", name, "a free parameter", remedy)
+        for axis in self.space.axes:
+            check_axis(axis, self.params)
+
+    def _check_knots(self) -> None:
+        """Refuse what would leave a knot without a judge."""
+        if self.params.listening is None:
+            return
+        if not self.on_arm:
+            remedy = 'The linear world finds no stiffness: take published = "family-wam".'
+            raise InputError("experiment.physics", self.experiment.physics, "an arm for a job with knots", remedy)
+        for K in self.params.listening.stiffness:
+            if K not in self.experiment.stiffness:
+                remedy = f"Add {K:g}: a knot is judged on tissue of its own stiffness."
+                raise InputError("experiment.stiffness", list(self.experiment.stiffness), "with every knot's", remedy)
+        if OVERSHOOT in {**self.soft, **self.goals}:
+            raise InputError(f"goals.{OVERSHOOT}", "given", "left out with knots", "It is of the fixed gains alone.")
 
     @property
     def before(self) -> Params:
@@ -103,16 +114,17 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         if order == self.params.disturbance_order:
             return self
         axis = axis_of("Q_p", None, False, order)
-        values = {**self.params.to_dict(), "disturbance_order": order, "Q_p": float(np.sqrt(axis.low * axis.high))}
-        free = {name: None if name == "Q_p" else bounds for name, bounds in self.free.items()}
+        middle = {"Q_p": float(np.sqrt(axis.low * axis.high))}
+        values = {**self.params.to_dict(), "disturbance_order": order, **middle}
+        if self.params.knots:
+            values["knots"] = [{**knot, **middle} for knot in values["knots"]]
+        free = {name: None if name.rpartition(".")[2] == "Q_p" else bounds for name, bounds in self.free.items()}
         return replace(self, params=Params.from_dict(values), baseline=self.before, free=free)
 
     @cached_property
     def space(self) -> SearchSpace:
         """The free parameters as one vector."""
-        order = self.params.disturbance_order
-        axes = [axis_of(name, bounds, name in self.tune.diagonals, order) for name, bounds in self.free.items()]
-        return SearchSpace(self.params, axes)
+        return SearchSpace(self.params, axes_of(self.free, self.tune.diagonals, self.tune.tied, self.params))
 
     @property
     def on_arm(self) -> bool:
@@ -125,6 +137,22 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         own = np.asarray(self.experiment.stiffness)
         between = np.geomspace(own.min(), own.max(), self.tune.margin_points) if len(own) > 1 else own[:0]
         return np.unique(np.concatenate([own, between]))
+
+    @property
+    def fixed_stay(self) -> bool:
+        """Whether it is a family whose knots alone are free."""
+        return all(axis.knots for axis in self.space.axes)
+
+    def judged_known(self, *counts: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where margins are judged with the stiffness known: K_s and K̂, (cells,) each [N/m]; none without knots.
+
+        Args:
+            counts: How many known stiffnesses and ratios, where not as `jaxmpc freeze` judges.
+        """
+        if self.params.listening is None:
+            return np.zeros(0), np.zeros(0)
+        known, ratios = judged_where(self.params.listening, *counts)
+        return np.outer(known, ratios).ravel(), np.repeat(known, len(ratios))
 
     @property
     def implied(self) -> dict[str, float]:
@@ -189,7 +217,8 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         """
         known_tables(data, ("experiment", "params", "baseline", "tune", "goals", "scenarios", "risk", "pareto"))
         tune, goals = dict(data.get("tune", {})), dict(data.get("goals", {}))
-        free = _free(tune.pop("free", dict.fromkeys(FREE, True)))
+        params = params_table(data.get("params", {}), folder)
+        free = free_table(tune.pop("free", dict.fromkeys(FREE_OF_KNOTS if params.knots else FREE, True)))
         for kind, table, name in (
             (TuneSettings, tune, "tune"),
             (Scenarios, data.get("scenarios", {}), "scenarios"),
@@ -208,7 +237,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             raise InputError("goals.soft", soft, "a table with a goal", "Write `[goals.soft]` and `rms = 0.05`.")
         return TuneSpec(
             experiment=experiment_table(data.get("experiment", {}), folder),
-            params=params_table(data.get("params", {}), folder),
+            params=params,
             baseline=params_table(baseline, folder, "baseline") if "baseline" in data else None,
             baseline_compensation=share,
             tune=convert(tune, TuneSettings, "tune"),
@@ -220,19 +249,6 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             risk=convert(data.get("risk", {}), Risk, "risk"),
             pareto=data.get("pareto", {}),
         )
-
-
-def _free(table: Any) -> dict[str, Bounds | None]:
-    if not isinstance(table, dict):
-        raise InputError("tune.free", table, "a table", "Write `[tune.free]` and one line per parameter.")
-    free: dict[str, Bounds | None] = {}
-    for name, value in table.items():
-        numbers = isinstance(value, list) and all(type(x) in (int, float) for x in value)
-        if not (value is True or (numbers and len(value) == 2)):
-            remedy = "Leave a frozen parameter out; `true` takes the default bounds."
-            raise InputError(f"tune.free.{name}", value, "[lowest, highest] or true", remedy)
-        free[name] = None if value is True else (value[0], value[1])
-    return free
 
 
 def _check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, Quantity]) -> None:
@@ -247,21 +263,3 @@ def _check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, Quant
         if not (number and low < limit < math.inf):
             bound = f"a number above {known[name].amount(low)}"
             raise InputError(f"{table}.{name}", limit, bound, "Give a limit.")
-
-
-def _check_bounds(name: str, bounds: Bounds | None, params: Params) -> None:
-    if name not in PARAMETERS:
-        raise InputError(f"tune.free.{name}", bounds or "true", "a known parameter", nearest(name, list(PARAMETERS)))
-    unit, (low, high) = PARAMETERS[name].unit, PARAMETERS[name].bounds
-    axis = axis_of(name, bounds, False, params.disturbance_order)
-    for value in (axis.low, axis.high):
-        if not (math.isfinite(value) and low <= value <= high):
-            raise InputError(f"tune.free.{name}", value, f"in [{low:g}, {high:g}] {unit}", "Move this bound inside.")
-    if axis.low >= axis.high:
-        raise InputError(f"tune.free.{name}", list(bounds or ()), "[lowest, highest]", "Exchange or part the bounds.")
-    if name in HORIZONS and (axis.low % 1 or axis.high % 1):
-        raise InputError(f"tune.free.{name}", list(bounds or ()), "whole numbers of samples", "Round them.")
-    start = getattr(params, name)
-    if (start < axis.low).any() or (start > axis.high).any():
-        remedy = f"The start {start:g} lies outside: move it, or widen the bounds."
-        raise InputError(f"tune.free.{name}", [axis.low, axis.high], "around the start point", remedy)

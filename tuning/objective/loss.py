@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmpc.closed_loops import ClosedLoops, close_loops
+from jaxmpc.law.gains import Gains
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
 from tuning.job.goals import OVERSHOOT, RATIO, RUN_GOALS, MarginGoals, margin_goals, run_goals
@@ -56,7 +57,7 @@ class GoalEvaluation(NamedTuple):
     risk: Any
     """Risk over the scenarios of the soft goals [-]."""
     hard: list[Array]
-    """Hard goals on the runs at their worst [-]."""
+    """Hard goals on the runs at their worst, (starts, 1); of a family on each tissue, (starts, stiffness) [-]."""
 
     @property
     def log_risk(self) -> Array:
@@ -72,7 +73,9 @@ class GoalEvaluation(NamedTuple):
     @property
     def loss(self) -> Array:
         """Log risk, and the price of what hard goals miss [-]."""
-        missed = sum((jnp.maximum(value, 0.0) for value in self.shortfall), jnp.zeros(len(self.stable)))
+        missed = sum(
+            (jnp.mean(jnp.maximum(value, 0.0), axis=1) for value in self.shortfall), jnp.zeros(len(self.stable))
+        )
         return self.log_risk + PENALTY * (self.margins.violation + jnp.where(self.stable, missed, 0.0))
 
 
@@ -92,7 +95,7 @@ def evaluate_goals(loops: ClosedLoops, data: Data, structure: ProblemStructure) 
     limits = {name: jnp.broadcast_to(limit, stable.shape) for name, limit in data.margins.items()}
     margins = jax.vmap(lambda found, limits: margin_goals(found, limits, HEADROOM))(judged, limits)
     # An unstable loop would run away and make even the unused slope NaN: it stands still instead.
-    safe = loops._replace(gains=jax.tree.map(lambda gain: _where(stable, gain, 0.0), loops.gains))
+    safe = loops._replace(gains=_still(stable, loops.gains))
     cells = cells_of(safe, data, structure)
     overshoot = overshoot_of(safe, data, structure) if OVERSHOOT in {*data.hard, *data.soft} else None
 
@@ -101,9 +104,15 @@ def evaluate_goals(loops: ClosedLoops, data: Data, structure: ProblemStructure) 
         return run_goals(cells, data.reference, overshoot, wide)
 
     soft, hard = goals(visible_soft(data)), goals({name: data.hard[name] for name in visible_goals(data.hard, data)})
-    per_scenario = jnp.concatenate([jnp.moveaxis(goal, 2, 1).reshape(*goal.shape[::2], -1) for goal in _wide(soft)], 2)
-    risk = structure.risk.over(soft_worst(per_scenario))
-    missed = [jnp.max(goal, axis=(1, 2, 3)) for goal in hard.values()]
+    cells_last = jnp.concatenate(_wide(soft), axis=3)
+    if data.believed is None:
+        per_scenario = jnp.moveaxis(cells_last, 2, 1).reshape(*cells_last.shape[::2], -1)
+        risk = structure.risk.over(soft_worst(per_scenario))
+        missed = [jnp.max(goal, axis=(1, 2, 3))[:, None] for goal in hard.values()]
+    else:
+        # A knot serves its own tissue, so each counts: the worst alone would leave all others where they are.
+        risk = _geometric_mean(structure.risk.over(soft_worst(cells_last)))
+        missed = [jnp.max(goal, axis=(2, 3)) for goal in hard.values()]
     return GoalEvaluation(judged, stable, margins, cells, soft, risk, missed)
 
 
@@ -122,7 +131,9 @@ def loss_of(
 
     per_tissue = jnp.stack([jnp.max(goal, axis=(2, 3)) for goal in found.soft.values()])
     worst_soft = [jnp.max(goal, axis=(1, 2, 3)) for goal in found.soft.values()]
-    at_worst = [jnp.max(found.margins.normalised, axis=2)] + [goal[:, None] for goal in found.hard]
+    at_worst = [jnp.max(found.margins.normalised, axis=2)] + [
+        jnp.max(goal, axis=1, keepdims=True) for goal in found.hard
+    ]
     return found.loss, (
         where_stable(found.risk),
         where_stable(jnp.max(found.cells.rms, axis=(1, 2, 3))),
@@ -140,7 +151,7 @@ def constrained(
     """The same as a program with constraints: log risk, then what must be at most 0, whole horizons; traceable."""
     found = evaluate_vectors(z, data, 1.0, structure)
     margins = (1.0 + HEADROOM - found.margins.inverse).reshape(len(z), -1)
-    runs = [jnp.where(found.stable, value, 1.0)[:, None] for value in found.shortfall]
+    runs = [jnp.where(found.stable[:, None], value, 1.0) for value in found.shortfall]
     return jnp.concatenate([found.log_risk[:, None], margins, *runs], axis=1)
 
 
@@ -181,6 +192,22 @@ def visible_soft(data: Data) -> dict[str, Any]:
 
 def _where(stable: Array, value: Array, otherwise: float) -> Array:
     return jnp.where(stable.reshape(-1, *(1,) * (value.ndim - 1)), value, otherwise)
+
+
+def _still(stable: Array, gains: Gains) -> Gains:
+    """Gains of zero where a loop is unstable; the places of the knots stay, between which one divides."""
+    family = gains.schedule
+    found: Gains = jax.tree.map(lambda gain: _where(stable, gain, 0.0), gains._replace(schedule=None))
+    if family is None:
+        return found
+    knots = tuple(knot._replace(gains=_still(stable, knot.gains)) for knot in family.knots)
+    return found._replace(schedule=family._replace(knots=knots))
+
+
+def _geometric_mean(values: Float[Array, "starts stiffness"]) -> Float[Array, " starts"]:
+    """0 where one is."""
+    some = jnp.all(values > 0.0, axis=1)
+    return jnp.where(some, jnp.exp(jnp.mean(jnp.log(jnp.where(values > 0.0, values, 1.0)), axis=1)), 0.0)
 
 
 def _wide(goals: Mapping[str, Array]) -> list[Array]:

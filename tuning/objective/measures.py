@@ -18,7 +18,9 @@ from jaxmpc.spectra.effort import chatter_rms, effort_rms
 from jaxmpc.spectra.residual import residual_rms
 from jaxmpc.spectra.spectrum import Spectrum
 from jaxmpc.spectra.true_force import swing_rms, true_rms
-from jaxmpc.stability import Margins
+from jaxmpc.stability import Margins, margins_one
+from jaxmpc.stability.family import held
+from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath
@@ -66,21 +68,47 @@ class Data(NamedTuple):
     judged: LoopPath
     """Loop whose margins are judged: of the experiment, as it runs or ideal."""
     judged_at: Any
-    """Stiffnesses at which they are [N/m]."""
+    """Stiffnesses at which they are, (cells,) [N/m]."""
+    believed: Any
+    """K̂ that a family then holds, (cells,) [N/m]; NaN where it knows none. None for controllers without knots."""
     reference: Metrics
     """Metrics of the start point, (stiffness, scenarios, 3); for goals that are ratios."""
 
 
 def judged_margins(loops: ClosedLoops, data: Data) -> Margins:
-    """Margins of the loops that are judged, (starts, judged_at), as `jaxmpc.margins` defines them; traceable."""
-    contacts = contacts_of(loops.K2, data.judged_at, data.judged)
-    return margins_of(loops._replace(contacts=contacts), ideal=data.judged.ideal)
+    """Margins of the loops that are judged, (starts, cells), as `jaxmpc.margins` defines them; traceable."""
+    if data.believed is None:
+        contacts = contacts_of(loops.K2, data.judged_at, data.judged)
+        return margins_of(loops._replace(contacts=contacts), ideal=data.judged.ideal)
+    gains, contacts = known(loops, data.judged_at, data.believed, data.judged)
+    residual = jnp.broadcast_to(loops.residual[:, None], contacts.stiffness.shape)
+
+    def one(gains: Gains, contact: Contact, residual: Any) -> Margins:
+        return margins_one(gains, contact, data.judged.ideal, residual)
+
+    found: Margins = jax.vmap(jax.vmap(one))(gains, contacts, residual)
+    return found
+
+
+def known(loops: ClosedLoops, stiffness: Any, believed: Any, path: LoopPath) -> tuple[Gains, Contact]:
+    """Families with K̂ held, and their contacts, (starts, cells).
+
+    Args:
+        loops: The families.
+        stiffness: K_s, (cells,) [N/m].
+        believed: K̂, likewise; NaN is not known.
+        path: Delay and filters.
+    """
+    gains, K2 = jax.vmap(held, in_axes=(0, 0, None))(loops.gains, loops.K2, believed)
+    over_cells = jax.vmap(contact_of, in_axes=(0, 0, None))
+    return gains, jax.vmap(over_cells, in_axes=(None, 0, None))(stiffness, K2, path)
 
 
 def cells_of(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> Metrics:
     """What is measured of every controller, (starts, stiffness, scenarios, 3); traceable.
 
-    From spectra it is what `SPECTRAL` has; the rest is NaN, or with a correction a multiple of the RMS.
+    From spectra, to which a family knows each tissue, it is what `SPECTRAL` has; the rest is NaN, or with a
+    correction a multiple of the RMS.
     """
     if data.spectra is None:
         run = run_loops(loops, data.scene, world=structure.world, dtype=structure.precision)
@@ -88,12 +116,14 @@ def cells_of(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> Met
         return cells
 
     def spectral(gains: Gains, contact: Contact, spectrum: Spectrum) -> Metrics:
-        known = {name: function(gains, contact, spectrum) for name, function in SPECTRAL.items()}
-        return Metrics(**{name: known.get(name, jnp.full_like(known["rms"], jnp.nan)) for name in METRICS})
+        found = {name: function(gains, contact, spectrum) for name, function in SPECTRAL.items()}
+        return Metrics(**{name: found.get(name, jnp.full_like(found["rms"], jnp.nan)) for name in METRICS})
 
+    family, tissues = loops.gains.schedule is not None, data.scene.stiffness
+    gains, contacts = known(loops, tissues, tissues, data.scene.path) if family else (loops.gains, loops.contacts)
     over_scenarios = jax.vmap(spectral, in_axes=(None, None, 0))
-    over_tissues = jax.vmap(over_scenarios, in_axes=(None, 0, None))
-    seen: Metrics = jax.vmap(over_tissues, in_axes=(0, 0, None))(loops.gains, loops.contacts, data.spectra)
+    over_tissues = jax.vmap(over_scenarios, in_axes=(0 if family else None, 0, None))
+    seen: Metrics = jax.vmap(over_tissues, in_axes=(0, 0, None))(gains, contacts, data.spectra)
     if data.correction is None:
         return seen
     corrected: Metrics = jax.tree.map(jnp.multiply, with_stand_ins(seen), data.correction)

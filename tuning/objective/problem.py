@@ -23,6 +23,8 @@ from tuning.objective.measures import Data, ProblemStructure, measure
 
 COARSER = 3
 """Spectra, which only propose, judge margins at one in so many stiffnesses."""
+FEWER = (9, 3)
+"""And so many known stiffnesses of a family besides its knots, at the middle and the ends of the band."""
 
 
 class Problem(NamedTuple):
@@ -104,6 +106,7 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
     world = program_spec(_linear(met[0]) if spectral else met[0])
     structure = ProblemStructure(spec.space.axes, world, spec.tune.precision, spec.risk)
     cells = (len(scene.stiffness), len(met), 3)
+    judged_at, believed = judged_cells(spec, spectral)
     data = Data(
         scene=scene,
         spectra=spectra,
@@ -113,7 +116,8 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
         hard=spec.hard_goals,
         soft=dict(spec.soft),
         judged=spec.experiment.loop_path(spec.ideal),
-        judged_at=coarser(spec) if spectral else spec.judged_at,
+        judged_at=judged_at,
+        believed=believed,
         reference=Metrics(**dict.fromkeys(Metrics._fields, jnp.ones(cells))),
     )
     data = jax.tree.map(jnp.asarray, data)
@@ -124,6 +128,22 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
         seen_before = data._replace(scene=scene, spectra=spectra)
         data = data._replace(reference=measure(spec.before, seen_before, structure._replace(world=world)))
     return Problem(data, structure)
+
+
+def judged_cells(spec: TuneSpec, coarse: bool) -> tuple[np.ndarray, np.ndarray | None]:
+    """Where margins are judged: K_s, and the K̂ that a family holds there, NaN for its fixed gains [N/m].
+
+    Args:
+        spec: The job.
+        coarse: At fewer stiffnesses, the experiment's own and the knots among them.
+    """
+    own = coarser(spec) if coarse else spec.judged_at
+    if spec.params.listening is None:
+        return own, None
+    if spec.fixed_stay:
+        own = own[:0]
+    stiffness, believed = spec.judged_known(*(FEWER if coarse else ()))
+    return np.concatenate([own, stiffness]), np.concatenate([np.full(len(own), np.nan), believed])
 
 
 def coarser(spec: TuneSpec) -> np.ndarray:

@@ -5,7 +5,8 @@ with limits that nothing can miss its gradient is that of the log score; with on
 
     ∇loss − ∇log score = PENALTY · n/g · ∇log g
 
-where n counts the stiffnesses at which a margin is judged, here all the same one, and is 1 for a goal of the runs.
+where n counts the stiffnesses at which a margin is judged, here all the same one, and is 1 for a goal of the runs;
+those of a family, held on each tissue, are looked at on one alone (`on_tissue`).
 """
 
 from collections.abc import Mapping
@@ -87,10 +88,11 @@ def values_at(problem: Problem, z: np.ndarray, starts: int, easier: Mapping[str,
     return whole
 
 
-def judged_on(problem: Problem, stiffness: float) -> Problem:
-    """The same with all margins judged on one tissue."""
+def judged_on(problem: Problem, stiffness: float, believed: float = np.nan) -> Problem:
+    """The same with all margins judged on one tissue, a family's while it holds K̂; NaN for its fixed gains."""
     data = problem.data
-    return problem._replace(data=data._replace(judged_at=jnp.full_like(data.judged_at, stiffness)))
+    held = None if data.believed is None else jnp.full_like(data.believed, believed)
+    return problem._replace(data=data._replace(judged_at=jnp.full_like(data.judged_at, stiffness), believed=held))
 
 
 def on_tissue(problem: Problem, which: int) -> Problem:
@@ -109,7 +111,7 @@ def on_tissue(problem: Problem, which: int) -> Problem:
         reference=jax.tree.map(alone, data.reference),
         correction=jax.tree.map(factors_alone, data.correction),
     )
-    return judged_on(problem._replace(data=data), float(scene.stiffness[0]))
+    return judged_on(problem._replace(data=data), *[float(scene.stiffness[0])] * 2)
 
 
 def _moved(problem: Problem, name: str, easier: np.ndarray) -> jax.Array:

@@ -8,16 +8,15 @@ The tuner stops near such a point, not on it, so the λᵢ are those of the leas
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from jaxmpc.xla.precision import in_float64
 from tuning.job.goals import margin_goals
-from tuning.proof.gradients import SCORE, Slope, judged_on, sloped, slopes
-from tuning.proof.result import TuneResult
+from tuning.proof.gradients import SCORE, Slope, judged_on, on_tissue, sloped, slopes
+from tuning.proof.result import TuneResult, place_of
 from tuning.proof.sensitivities import vector_of
 
 ACTIVE = 0.97
@@ -36,6 +35,13 @@ class Active(NamedTuple):
     """[-]"""
     multiplier: float
     """λ [-]; NaN without a feasible point."""
+    believed: float = np.nan
+    """K̂ that a family holds [N/m]; NaN for fixed gains and goals of the runs."""
+
+    @property
+    def place(self) -> str:
+        """Where; "" for a goal of the runs."""
+        return "" if self.stiffness is None else place_of(self.stiffness, self.believed)
 
     @property
     def gain(self) -> float:
@@ -59,12 +65,17 @@ def limits(result: TuneResult) -> LimitStudy:
     problem = sloped(result, z)
     runs = slopes(problem, z, starts)
     held: list[tuple[Active, Slope]] = []
-    for name, K_s, normalised in active_margins(result):
-        slope = slopes(judged_on(problem, K_s), z, starts)[name]
-        held.append((Active(name, K_s, normalised, np.nan), slope))
-    for name in problem.hard_goals:
-        if runs[name].value > ACTIVE:
-            held.append((Active(name, None, runs[name].value, np.nan), runs[name]))
+    for goal in active_margins(result):
+        assert goal.stiffness is not None
+        held.append((goal, slopes(judged_on(problem, goal.stiffness, goal.believed), z, starts)[goal.goal]))
+    # What a family does on each tissue is held by itself.
+    alone: dict[float | None, dict[str, Slope]] = {None: runs}
+    if problem.data.believed is not None:
+        alone = {K: slopes(on_tissue(problem, i), z, starts) for i, K in enumerate(result.tissues)}
+    for K_s, found in alone.items():
+        for name in problem.hard_goals:
+            if found[name].value > ACTIVE:
+                held.append((Active(name, K_s, found[name].value, np.nan), found[name]))
     goals, downhill = [goal for goal, _ in held], -runs[SCORE].gradient
     if not result.feasible or not np.isfinite(runs[SCORE].value):
         return LimitStudy(goals, np.nan)
@@ -73,17 +84,26 @@ def limits(result: TuneResult) -> LimitStudy:
     return LimitStudy(priced, left / max(float(np.linalg.norm(downhill)), 1e-300))
 
 
-def active_margins(result: TuneResult) -> list[tuple[str, float, float]]:
-    """Goal, stiffness [N/m] and normalised value [-] of the tuned controller's active margins, each a local maximum."""
-    spec = result.spec
-    judged: Any = jax.tree.map(lambda field: field[1], result.margins["ideal" if spec.ideal else "as run"])
+def active_margins(result: TuneResult) -> list[Active]:
+    """The tuned controller's active margins but for multipliers, each a local maximum over the stiffness.
+
+    Of a family with the stiffness known it is the worst of the band; fixed gains that stay are left out.
+    """
+    judged, limits = result.judged(1), result.spec.margin_goals
+    fixed = np.isnan(judged.believed)
+    groups = [] if result.spec.fixed_stay else [np.flatnonzero(fixed)[:, None]]
+    if not fixed.all():
+        groups.append(np.flatnonzero(~fixed).reshape(len(np.unique(judged.believed[~fixed])), -1))
     found = []
-    for name, row in zip(
-        spec.margin_goals, np.asarray(margin_goals(judged, spec.margin_goals).normalised), strict=True
-    ):
-        padded = np.concatenate([[-np.inf], row, [-np.inf]])
-        peaks = (row > ACTIVE) & (row >= padded[:-2]) & (row > padded[2:])
-        found += [(name, float(spec.judged_at[i]), float(row[i])) for i in np.flatnonzero(peaks)]
+    for name, row in zip(limits, np.asarray(margin_goals(judged.margins, limits).normalised), strict=True):
+        for cells in groups:
+            worst = cells[np.arange(len(cells)), np.argmax(row[cells], axis=1)]
+            padded = np.concatenate([[-np.inf], row[worst], [-np.inf]])
+            peaks = (row[worst] > ACTIVE) & (row[worst] >= padded[:-2]) & (row[worst] > padded[2:])
+            found += [
+                Active(name, float(judged.stiffness[i]), float(row[i]), np.nan, float(judged.believed[i]))
+                for i in worst[peaks]
+            ]
     return found
 
 

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxmpc import design
 from jaxmpc.experiment import Experiment
 from jaxmpc.law import cascade
 from jaxmpc.law.gains import Gains
+from jaxmpc.stability.family import gains_on
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis.params import Params
@@ -28,7 +28,7 @@ _contact = jax.jit(contact_of)
 
 
 class Curves(NamedTuple):
-    """One controller on the experiment's tissues."""
+    """One controller on the experiment's tissues, which one with knots knows."""
 
     frequency: Float[np.ndarray, " points"]
     """[Hz]"""
@@ -61,27 +61,24 @@ def curves(params: Params, experiment: Experiment, ideal: bool) -> Curves:
         experiment: Its tissues, delay and filters; the step is that of its linear loop.
         ideal: Whether L is that of the ideal loop, or of the loop as it runs; as in `jaxmpc.margins`.
     """
-    stiffness = np.asarray(experiment.stiffness)[:, None]
-    # Of plain arrays the closed forms are plain arithmetic, so next to nothing is compiled.
-    gains = jax.tree.map(np.asarray, design(params, experiment.timing, experiment.loop_path().force_filter))
-
-    def worlds(path: LoopPath) -> Contact:
-        plain: Contact = jax.tree.map(np.asarray, _contact(stiffness, params.K2, path))
-        return plain
-
     T_s = experiment.sampling_time
     theta = np.geomspace(2.0 * np.pi * LOWEST_HZ * T_s, np.pi, POINTS)
-    judged, met = worlds(experiment.loop_path(ideal)), worlds(experiment.loop_path())
-    loops = np.stack(
-        [np.asarray(loop_response(gains, judged, theta, cut)) for cut in ((0.0,) if ideal else (0.0, 1.0))]
-    )
-    worse = np.argmin(np.abs(1.0 + loops).min(axis=2), axis=0)
-    return Curves(
-        theta / (2.0 * np.pi * T_s),
-        loops[worse, np.arange(len(worse))],
-        np.arange(STEP_SAMPLES) * T_s,
-        step_response(gains, met),
-    )
+    controllers = gains_on(params, experiment.stiffness, experiment.loop_path())
+    loops, forces = [], []
+    for i, K_s in enumerate(experiment.stiffness):
+        # Of plain arrays the closed forms are plain arithmetic, so next to nothing is compiled.
+        gains, K2 = jax.tree.map(lambda leaf, i=i: leaf[i], controllers)
+        judged, met = (_world(K_s, K2, experiment.loop_path(kind)) for kind in (ideal, None))
+        cuts = [np.asarray(loop_response(gains, judged, theta, cut))[0] for cut in ((0.0,) if ideal else (0.0, 1.0))]
+        loops.append(min(cuts, key=lambda loop: np.abs(1.0 + loop).min()))
+        forces.append(step_response(gains, met)[0])
+    return Curves(theta / (2.0 * np.pi * T_s), np.stack(loops), np.arange(STEP_SAMPLES) * T_s, np.stack(forces))
+
+
+def _world(stiffness: float, K2: Any, path: LoopPath) -> Contact:
+    """One contact as plain arrays; its stiffness has the shape (1, 1)."""
+    plain: Contact = jax.tree.map(np.asarray, _contact(np.array([[stiffness]]), K2, path))
+    return plain
 
 
 def step_response(gains: Gains, contact: Contact, samples: int = STEP_SAMPLES) -> Float[np.ndarray, "worlds samples"]:

@@ -55,21 +55,21 @@ def rows(result: TuneResult) -> list[Row]:
     """All goals, the hard ones first."""
     spec = result.spec
     found = []
-    judged = result.margins["ideal" if spec.ideal else "as run"]
+    both = [result.judged(which) for which in range(2)]
     for name, limit in spec.margin_goals.items():
         # A margin of an unstable loop is no number, its M_s ∞.
-        values = getattr(judged, name)
-        worst = GOALS[name].worst(values, axis=1)
-        place = (np.argmax if GOALS[name].ceiling else np.argmin)(values[1])
-        found.append(Row(name, True, limit, (float(worst[0]), float(worst[1])), float(spec.judged_at[place])))
+        before, after = (np.asarray(getattr(judged.margins, name)) for judged in both)
+        worst = float(GOALS[name].worst(before)), float(GOALS[name].worst(after))
+        place = (np.argmax if GOALS[name].ceiling else np.argmin)(after)
+        found.append(Row(name, True, limit, worst, float(both[1].stiffness[place])))
     limits = [(name, limit, True) for name, limit in spec.hard_goals.items()]
     limits += [(name, limit, False) for name, limit in spec.soft.items()]
     overshoot: Any = (np.nan, np.nan)
     if any(name == OVERSHOOT for name, _, _ in limits):
         overshoot = [curves(params, spec.experiment, spec.ideal).overshoot for params in (spec.before, result.params)]
-    before, after = (_cells(result, which) for which in (0, 1))
+    cells = [_cells(result, which) for which in (0, 1)]
     for name, limit, hard in limits:
-        pair = [run_goals(cells, before, overshoot[i], {name: 1.0})[name] for i, cells in enumerate((before, after))]
+        pair = [run_goals(each, cells[0], overshoot[i], {name: 1.0})[name] for i, each in enumerate(cells)]
         per_tissue = np.max(np.asarray(pair[1]), axis=(1, 2))
         largest = [float(np.max(np.asarray(values))) for values in pair]
         K_s = spec.experiment.stiffness[int(np.argmax(per_tissue))]

@@ -1,7 +1,7 @@
 """What a tuning run found, proven on scenarios that it has not seen."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from jaxmpc import margins
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
+from jaxmpc.stability.family import family_margins, judged_where
 from jaxmpc.synthesis.params import Params
 from tuning.job.goals import GOALS, margin_goals
 from tuning.job.scenarios import scenarios
@@ -24,6 +25,26 @@ LOST = 2.0
 """A residual beyond this means that a controller did not hold the heart [N] (`definitions.md`)."""
 
 
+class Judged(NamedTuple):
+    """Margins that goals are about, each (cells,): of the fixed gains, and of a family with the stiffness known."""
+
+    margins: Margins
+    stiffness: np.ndarray
+    """K_s [N/m]."""
+    believed: np.ndarray
+    """K̂ that a family holds [N/m]; NaN for fixed gains."""
+
+    def place(self, cell: int) -> str:
+        """Where a cell is."""
+        return place_of(self.stiffness[cell], self.believed[cell])
+
+
+def place_of(stiffness: float, believed: float) -> str:
+    """A tissue, and what a family believes of it."""
+    known = f" held for {believed:.4g} N/m" if np.isfinite(believed) else ""
+    return f"{stiffness:.4g} N/m{known}"
+
+
 @dataclass(frozen=True)
 class TuneResult:
     """Before and after, and the search between. Index 0 is the controller before, 1 the tuned one."""
@@ -36,11 +57,13 @@ class TuneResult:
     heldout: Metrics
     """On the held-out scenarios, each field (2, scenarios, stiffness, 3); NaN where a run was lost."""
     margins: dict[str, Margins]
-    """"as run" and "ideal", each field (2, judged_at)."""
+    """"as run" and "ideal", each field (2, judged_at); of a family those of its fixed gains."""
     steps: list[Step]
     """The descent, and on the arm the rounds of space mapping."""
     orders: dict[int, float]
     """Score of each disturbance order after its descent [-]."""
+    known: tuple[Judged | None, Judged | None] = (None, None)
+    """Of families with the stiffness known, as `jaxmpc freeze` judges them."""
     refused: str = ""
     """Why freezing refuses it; "" where it accepts, and for jobs that are not for a robot."""
 
@@ -48,6 +71,34 @@ class TuneResult:
     def met(self) -> bool:
         """Whether it holds every hard goal, and freezing accepts it where it is for a robot."""
         return self.feasible and not self.refused
+
+    def judged(self, which: int) -> Judged:
+        """Everything whose margins are judged of the controller before (0) or after (1)."""
+        found = self.margins["ideal" if self.spec.ideal else "as run"]
+        fixed: Margins = jax.tree.map(lambda field: field[which], found)
+        at = self.spec.judged_at
+        parts = [Judged(fixed, at, np.full(len(at), np.nan)), self.known[which]]
+        whole: Judged = jax.tree.map(lambda *leaves: np.concatenate(leaves), *filter(None, parts))
+        return whole
+
+    def stable(self, ideal: bool) -> np.ndarray:
+        """Whether the loop is stable on each of the experiment's tissues, to a family known, (2, stiffness).
+
+        Args:
+            ideal: Whether it is the ideal one; of a family always the one that is judged.
+        """
+        found = np.asarray(self.margins["ideal" if ideal else "as run"].spectral_radius)
+        rows = found[:, np.searchsorted(self.spec.judged_at, self.tissues)] < 1.0
+        for row, family in zip(rows, self.known, strict=True):
+            if family is not None:
+                away = np.abs(np.stack([family.stiffness, family.believed])[:, None] - np.array(self.tissues)[:, None])
+                row[:] = np.asarray(family.margins.spectral_radius)[np.argmin(away.sum(axis=0), axis=1)] < 1.0
+        return rows
+
+    @property
+    def tissues(self) -> tuple[float, ...]:
+        """The experiment's [N/m]."""
+        return self.spec.experiment.stiffness
 
     @property
     def state(self) -> SearchState:
@@ -91,14 +142,13 @@ class TuneResult:
 
     def unmet(self) -> str:
         """Which goal the closest point misses, where and by how much, or why freezing refuses it; "" if all are met."""
-        judged: Any = Margins(*(field[1] for field in self.margins["ideal" if self.spec.ideal else "as run"]))
-        stiffness = self.spec.judged_at
-        unstable = np.asarray(judged.spectral_radius) >= 1.0
-        if unstable.any():
-            K_s, radius = stiffness[int(np.argmax(judged.spectral_radius))], float(np.max(judged.spectral_radius))
-            return f"no stable point was found: at {K_s:g} N/m the closest one has spectral radius {radius:.4f}"
+        judged = self.judged(1)
+        radius = np.asarray(judged.margins.spectral_radius)
+        if (radius >= 1.0).any():
+            place = judged.place(int(np.argmax(radius)))
+            return f"no stable point was found: at {place} the closest one has spectral radius {radius.max():.4f}"
         limits = self.spec.margin_goals
-        normalised = np.asarray(margin_goals(judged, limits).normalised)
+        normalised = np.asarray(margin_goals(judged.margins, limits).normalised)
         worst = {name: float(row.max()) for name, row in zip(limits, normalised, strict=True)}
         step = self.steps[-1]
         last = int(np.flatnonzero((step.state.path[:, step.state.leader] == step.state.leader_z).all(axis=1))[0])
@@ -111,8 +161,7 @@ class TuneResult:
         found = limit * worst[name] if goal.ceiling else limit / worst[name]
         where = ""
         if name in limits:
-            tissue = stiffness[int(np.argmax(normalised[list(limits).index(name)]))]
-            where = f" at {tissue:.4g} N/m"
+            where = f" at {judged.place(int(np.argmax(normalised[list(limits).index(name)])))}"
         else:
             K_s = self.spec.experiment.stiffness[int(step.state.tissue[last, step.state.leader])]
             where = f" in training, worst on {K_s:g} N/m"
@@ -134,7 +183,18 @@ def assess(history: SearchHistory, show: bool = False) -> TuneResult:
     for name, ideal in KINDS.items():
         both = [margins(p, spec.judged_at, path=spec.experiment.loop_path(ideal)) for p in (spec.before, params)]
         found[name] = jax.tree.map(lambda *fields: np.stack(fields), *both)
-    return TuneResult(spec, params, state.feasible, runs, found, history.steps, history.orders, refused)
+    known = _known(spec, spec.before), _known(spec, params)
+    return TuneResult(spec, params, state.feasible, runs, found, history.steps, history.orders, known, refused)
+
+
+def _known(spec: TuneSpec, params: Params) -> Judged | None:
+    """Margins of a family with the stiffness known; None of a controller without knots."""
+    if params.listening is None:
+        return None
+    known, ratios = judged_where(params.listening)
+    found = family_margins(params, known, ratios, spec.experiment.loop_path(spec.ideal))
+    flat: Margins = jax.tree.map(np.ravel, found)
+    return Judged(flat, np.outer(known, ratios).ravel(), np.repeat(known, len(ratios)))
 
 
 def _ranked(spec: TuneSpec, state: SearchState, show: bool) -> list[Params]:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxmpc.quantities import HORIZONS
 from jaxmpc.xla.precision import in_float64
 from tuning.job.space import SearchSpace
 from tuning.proof.gradients import SCORE, Slope, on_tissue, sloped, slopes
@@ -48,10 +47,10 @@ def vector_of(result: TuneResult) -> Float[np.ndarray, " size"]:
     """The vector that the tuned controller stands for, among those that the last step has kept."""
     state, space = result.state, result.spec.space
     kept = np.concatenate([state.best_z[np.isfinite(state.best)], state.closest_z])
-    wanted = [np.broadcast_to(getattr(result.params, axis.name), axis.size) for axis in space.axes]
+    wanted = [np.broadcast_to(axis.of(result.params), axis.size) for axis in space.axes]
     distance = np.abs(np.log(space.values(kept) / np.concatenate(wanted)))
     # Rounding has moved the horizons: they decide only where nothing else does.
-    distance[:, [name in HORIZONS for name in space.names]] *= 1e-6
+    distance[:, space.whole] *= 1e-6
     nearest: np.ndarray = kept[int(np.argmin(distance.max(axis=1)))]
     return nearest
 
@@ -60,21 +59,22 @@ def log_slopes(space: SearchSpace, z: Float[np.ndarray, " size"]) -> Float[np.nd
     """d log parameter / dz of each unconstrained number; 0 at a bound."""
     at = jnp.asarray(z)
     values, slopes = jax.jvp(lambda vector: space.decode(vector, 2.0), (at,), (jnp.ones_like(at),))
-    relative = [np.broadcast_to(getattr(slopes, a.name) / getattr(values, a.name), a.size) for a in space.axes]
+    relative = [np.broadcast_to(a.of(slopes) / a.of(values), a.size) for a in space.axes]
     return np.concatenate(relative)
 
 
 def _beside(space: SearchSpace, z: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
     """Vectors with each free horizon a sample shorter and longer, in pairs, and how far apart its logarithms are."""
     params = space.exact(z)
-    whole = {name: float(getattr(params, name)) for name in HORIZONS}
     ends = np.cumsum([axis.size for axis in space.axes])
     rows, apart = [], {}
     for axis, end in zip(space.axes, ends, strict=True):
-        if axis.name not in HORIZONS:
+        if not axis.whole:
             continue
-        low, high = (whole["Hu"], axis.high) if axis.name == "Hp" else (axis.low, min(axis.high, whole["Hp"]))
-        pair = max(whole[axis.name] - 1.0, axis.low, low), min(whole[axis.name] + 1.0, high)
+        owners = [params.knots[i] for i in axis.knots] or [params]
+        longest_Hu, shortest_Hp = max(float(p.Hu) for p in owners), min(float(p.Hp) for p in owners)
+        low, high = (longest_Hu, axis.high) if axis.parameter == "Hp" else (axis.low, min(axis.high, shortest_Hp))
+        pair = max(axis.of(params) - 1.0, axis.low, low), min(axis.of(params) + 1.0, high)
         for value in pair:
             rows.append(z.copy())
             rows[-1][end - 1] = float(axis.unconstrained(value))
@@ -89,5 +89,5 @@ def _per_parameter(space: SearchSpace, slope: Slope, per_unit: np.ndarray, apart
         relative = np.nan_to_num(slope.gradient / per_unit, posinf=0.0, neginf=0.0)
         quotients = np.log(slope.beside[1::2] / slope.beside[::2]) / np.array(list(apart.values()))
     summed = np.add.reduceat(relative, np.cumsum([0, *(axis.size for axis in space.axes[:-1])]))
-    summed[[axis.name in HORIZONS for axis in space.axes]] = np.nan_to_num(quotients)
+    summed[[axis.whole for axis in space.axes]] = np.nan_to_num(quotients)
     return summed if np.isfinite(slope.value) else np.full_like(summed, np.nan)

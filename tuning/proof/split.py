@@ -6,10 +6,10 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxmpc import design
 from jaxmpc.law.gains import Gains
 from jaxmpc.spectra.residual import Parts, residual_parts, residual_rms
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
+from jaxmpc.stability.family import gains_on
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.once import JitOnce
@@ -43,24 +43,22 @@ def split(result: TuneResult) -> Split:
     found = []
     for params, seen in ((spec.before, spec.met_before(met)), (result.params, met)):
         spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, seen))
-        gains = design(params, experiment.timing, path.force_filter)
-        whole, parts = _parts(gains, params.K2, stiffness, spectra, path)
+        gains, K2 = gains_on(params, stiffness, path)
+        whole, parts = _parts(gains, K2, stiffness, spectra, path)
         found.append([np.sqrt(np.mean(np.square(field), axis=1)) for field in (whole, *parts)])
-    radius = result.margins["ideal" if path.ideal else "as run"].spectral_radius
-    own = np.searchsorted(spec.judged_at, stiffness)
-    stable = (radius[:, own] < 1.0)[..., None]
+    stable = result.stable(path.ideal)[..., None]
     return Split(*(np.where(stable, np.stack(pair), np.nan) for pair in zip(*found, strict=True)))
 
 
 def _parts_of(gains: Gains, K2: Any, stiffness: Any, spectra: Spectrum, path: LoopPath) -> tuple[Any, Parts]:
-    """Residual and its parts, (stiffness, scenarios, 3); traceable."""
+    """Residual and its parts, (stiffness, scenarios, 3), of gains for each tissue; traceable."""
 
-    def one(K_s: Any, spectrum: Spectrum) -> tuple[Any, Parts]:
+    def one(gains: Gains, K2: Any, K_s: Any, spectrum: Spectrum) -> tuple[Any, Parts]:
         contact = contact_of(K_s, K2, path)
         return residual_rms(gains, contact, spectrum), residual_parts(gains, contact, spectrum)
 
-    over_scenarios = jax.vmap(one, (None, 0))
-    found: tuple[Any, Parts] = jax.vmap(over_scenarios, (0, None))(stiffness, spectra)
+    over_scenarios = jax.vmap(one, (None, None, None, 0))
+    found: tuple[Any, Parts] = jax.vmap(over_scenarios, (0, 0, 0, None))(gains, K2, stiffness, spectra)
     return found
 
 

@@ -47,7 +47,7 @@ def explained(result: TuneResult, found: Study) -> list[Html]:
 def limits_text(result: TuneResult, found: Study) -> Iterator[str]:
     """What keeps the tuned controller from being better, in sentences."""
     for goal in found.limits.active:
-        where = f" at {goal.stiffness:.4g} N/m" if goal.stiffness else " in training"
+        where = f" at {goal.place}" if goal.place else " in training"
         stands = "active" if goal.normalised <= FEASIBLE else "missed"
         line = f"The goal {goal.goal} is {stands}{where}: {100 * goal.normalised:.1f} % of its limit."
         if np.isfinite(goal.multiplier):

@@ -7,7 +7,6 @@ import numpy as np
 
 from jaxmpc.experiment import AXES
 from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
-from jaxmpc.quantities import HORIZONS, PARAMETERS
 from tuning.proof.reached import kept
 from tuning.proof.result import TuneResult
 from tuning.search.run import Step
@@ -56,9 +55,9 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
             panel = next(panels)
             entries = values[:, :, end - axis.size : end]
             name = f"{axis.name}, geometric mean" if axis.length else axis.name
-            title = f"{name} [{PARAMETERS[axis.name].unit}]"
+            title = f"{name} [{axis.unit}]"
             _lines(panel, np.exp(np.mean(np.log(entries), axis=2)), chosen, title, descent)
-            if axis.name not in HORIZONS:
+            if not axis.whole:
                 logarithmic(panel)
         for panel in panels:
             panel.set_visible(False)

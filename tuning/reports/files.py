@@ -54,6 +54,7 @@ def provenance(result: TuneResult) -> dict[str, Any]:
     """Where the parameters come from and what was measured of them."""
     spec, (before, after) = result.spec, result.worst
     peaks = {kind: [float(x) for x in found.M_s[1]] for kind, found in result.margins.items()}
+    known = result.known[1]
     return {
         "made_by": f"jaxmpc {__version__} tune",
         "spec_sha256": spec.digest,
@@ -65,6 +66,7 @@ def provenance(result: TuneResult) -> dict[str, Any]:
         "stiffness": [float(K_s) for K_s in spec.judged_at],
         "M_s_as_run": peaks["as run"],
         "M_s_ideal": peaks["ideal"],
+        **({} if known is None else {"M_s_known": float(known.margins.M_s.max())}),
         "heldout_worst_rms_before": before,
         "heldout_worst_rms_after": after,
     }

@@ -115,8 +115,4 @@ def _panels(result: TuneResult, path: Path, height: float) -> Iterator[list[Any]
 
 def _stable(result: TuneResult) -> np.ndarray:
     """Whether the judged loop is stable, (2, stiffness)."""
-    spec = result.spec
-    radius = result.margins["ideal" if spec.ideal else "as run"].spectral_radius
-    own = np.searchsorted(spec.judged_at, np.asarray(spec.experiment.stiffness))
-    stable: np.ndarray = np.asarray(radius)[:, own] < 1.0
-    return stable
+    return result.stable(result.spec.ideal)

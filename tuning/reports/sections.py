@@ -1,13 +1,14 @@
 """What a report of a tuning run says, as titles, sentences and tables; `text` and `page` only say how it looks."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxmpc.experiment import AXES
 from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Metric
-from jaxmpc.synthesis.params import STRUCTURE
+from jaxmpc.synthesis.params import STRUCTURE, Params
+from tuning.job.space import KNOTS
 from tuning.proof.limits import active_margins
 from tuning.proof.reached import kept, rows, verdict
 from tuning.proof.result import KINDS, TuneResult
@@ -100,11 +101,24 @@ def _parameters(result: TuneResult) -> Section:
             entries = np.broadcast_arrays(*values)
             each = [[str(k + 1), *(f"{x:.4g}" for x in pair)] for k, pair in enumerate(zip(*entries, strict=True))]
             tables.append(Table(("entry", "before", "after"), each, f"every entry of {name}"))
-    lines += [[name, *(str(params.structure[name]) for params in both), "", ""] for name in STRUCTURE]
+    lines += [[name, *(str(params.structure[name]) for params in both), "", ""] for name in STRUCTURE[:-1]]
+    if result.params.listening is not None:
+        tables.append(_knots(result.params, bounds))
     if len(result.orders) > 1:
         scores = ", ".join(f"{order} {score:.4g}" for order, score in result.orders.items())
         sentences.append(f"Best score of each disturbance order after its descent: {scores}.")
     return Section("Parameters", sentences, [Table(("parameter", "before", "after", "unit", "bounds"), lines), *tables])
+
+
+def _knots(params: Params, bounds: Mapping[str, str]) -> Table:
+    """Parameters of the knots after tuning; those before may stand elsewhere, or be none."""
+    assert params.listening is not None
+    lines = []
+    for name, row in PARAMETERS.items():
+        values = [_brief(np.asarray(getattr(knot, name))) for knot in params.knots]
+        free = {text for axis, text in bounds.items() if axis.startswith(KNOTS) and axis.endswith(f".{name}")}
+        lines.append([name, *values, row.unit, "; ".join(sorted(free)) or "frozen"])
+    return Table(("of the knot at", *(f"{K:g} N/m" for K in params.listening.stiffness), "unit", "bounds"), lines)
 
 
 def _scenarios(result: TuneResult) -> Section:
@@ -117,10 +131,14 @@ def _scenarios(result: TuneResult) -> Section:
 def _robustness(result: TuneResult) -> Section:
     at = result.spec.judged_at
     sentences = [f"Worst margins over {at[0]:g}–{at[-1]:g} N/m, after (before)."]
-    for name, K_s, normalised in active_margins(result):
-        stands = "active" if normalised <= FEASIBLE else "missed"
-        sentences.append(f"{name} is {stands} at {K_s:.4g} N/m, {100 * normalised:.1f} % of its limit.")
+    for goal in active_margins(result):
+        stands = "active" if goal.normalised <= FEASIBLE else "missed"
+        sentences.append(f"{goal.goal} is {stands} at {goal.place}, {100 * goal.normalised:.1f} % of its limit.")
     lines = []
+    for which, family in zip(("before", "after"), result.known, strict=True):
+        if family is not None:
+            values = (row.entry(row.worst(np.asarray(getattr(family.margins, name)))) for name, row in MARGINS.items())
+            lines.append([f"stiffness known, {which}", *values])
     for kind in KINDS:
         found = result.margins[kind]
         pairs = ([*map(row.entry, row.worst(getattr(found, name), axis=1))] for name, row in MARGINS.items())

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
-from jaxmpc.quantities import HORIZONS
 from tuning.job.spec import TuneSpec
 from tuning.objective.loss import HEADROOM, constrained
 from tuning.objective.measures import Data, ProblemStructure
@@ -46,7 +45,7 @@ def minimised(
     """
     from scipy.optimize import minimize
 
-    moved = np.array([i for i, name in enumerate(spec.space.names) if name not in HORIZONS], int)
+    moved = np.flatnonzero(~spec.space.whole)
     if not len(moved):
         return z
     program = values_and_slopes(spectra.structure, tuple(moved.tolist()))

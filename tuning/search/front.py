@@ -19,6 +19,7 @@ from jaxmpc.quantities import METRICS, PARAMETERS
 from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.precision import in_float64
 from tuning.job.goals import GOALS
+from tuning.job.space import KNOTS
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import problem_of, training
 from tuning.search.optimise import descend, schedule
@@ -117,13 +118,17 @@ def handed_on(state: SearchState, asked: np.ndarray, floors: np.ndarray) -> np.n
 def table(front: Front) -> str:
     """The front as CSV."""
     names = [f"limit_{name}" for name in front.limits] + [f"reached_{name}" for name in front.limits]
-    lines = [",".join([*names, "score", *(f"worst_{name} [{row.unit}]" for name, row in METRICS.items()), *PARAMETERS])]
+    metrics = (f"worst_{name} [{row.unit}]" for name, row in METRICS.items())
+    most = max((len(params.knots) for params in front.params if params), default=0)
+    of_knots = [f"{KNOTS}{i + 1}.{name}" for i in range(most) for name in PARAMETERS]
+    lines = [",".join([*names, "score", *metrics, *PARAMETERS, *of_knots])]
     for i, params in enumerate(front.params):
         numbers = [*(values[i] for values in front.limits.values()), *front.hard[i], front.score[i]]
         numbers += [getattr(front.cells, name)[i].max() for name in METRICS]
-        found = [np.asarray(getattr(params, name)) for name in PARAMETERS] if params else []
+        owners = [params, *params.knots] if params else []
+        found = [np.asarray(getattr(owner, name)) for owner in owners for name in PARAMETERS]
         entries = [f"{value:.6g}" if value.ndim == 0 else " ".join(f"{x:.6g}" for x in value) for value in found]
-        entries += [""] * (len(PARAMETERS) - len(entries))
+        entries += [""] * (len(PARAMETERS) + len(of_knots) - len(entries))
         lines.append(",".join([*(f"{number:.6g}" for number in numbers), *entries]))
     return "\n".join(lines) + "\n"
 

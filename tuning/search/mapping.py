@@ -101,9 +101,13 @@ def refine(
 
 
 def spectra_of(spec: TuneSpec, problem: Problem, met: Sequence[Experiment]) -> Problem:
-    """A job by spectra, with margins and what ratios are taken to as its problem by runs has them."""
+    """A job by spectra, with what ratios are taken to as its problem by runs has it, and but for families margins.
+
+    Between its knots a family differs little from what it is at them, and all their slopes take long.
+    """
     own = problem_of(spec, met, spectral=True)
-    return own._replace(data=own.data._replace(judged_at=problem.data.judged_at, reference=problem.data.reference))
+    at = problem.data.judged_at if own.data.believed is None else own.data.judged_at
+    return own._replace(data=own.data._replace(judged_at=at, reference=problem.data.reference))
 
 
 def correction(fine: Metrics, coarse: Metrics) -> Metrics:

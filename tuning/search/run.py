@@ -5,7 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmpc.quantities import HORIZONS
+from jaxmpc import margins
+from jaxmpc.files.errors import InputError
+from jaxmpc.quantities import MARGINS
 from jaxmpc.terminal.progress import progress
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
@@ -50,7 +52,11 @@ def run_search(spec: TuneSpec, folder: Path | None = None, show: bool = False) -
         spec: The job.
         folder: Where the states are kept, from which the same call continues; None keeps none.
         show: Whether to show progress.
+
+    Raises:
+        InputError: The fixed gains of a family, which stay, miss a hard goal already.
     """
+    _check_fixed(spec)
     jobs = [spec.with_order(order) for order in spec.tune.orders] or [spec]
     firsts = [proposal(job, folder, show) for job in jobs]
     orders = {
@@ -72,7 +78,7 @@ def proposal(spec: TuneSpec, folder: Path | None, show: bool) -> Step:
     """The descent: from the given parameters and from random ones, horizons first soft."""
     problem = problem_of(spec, training(spec, spec.tune.train_seeds), spectral=spec.on_arm)
     z = screened(spec, problem, COARSE * spec.tune.starts if spec.on_arm else spec.tune.starts, show)
-    soft = any(axis.name in HORIZONS for axis in spec.space.axes)
+    soft = bool(spec.space.whole.any())
     plan = schedule(spec.tune.steps, soft, spec.tune.learning_rate)
     name, file = ("spectra", "spectra") if spec.on_arm else ("linear", "")
     return Step(name, problem, descend(spec, problem, z, plan, folder, _file(file, spec), show))
@@ -107,6 +113,20 @@ def proposed(spec: TuneSpec, state: SearchState, count: int) -> np.ndarray:
         share = (i + 1) / (count - len(chosen) + 1)
         chosen.append((1.0 - share) * vectors[order[0]] + share * vectors[order[min(1, len(order) - 1)]])
     return np.stack(chosen)
+
+
+def _check_fixed(spec: TuneSpec) -> None:
+    """Refuse to tune knots beside fixed gains that hold no goal and cannot move."""
+    if not spec.fixed_stay:
+        return
+    found = margins(spec.params, spec.judged_at, path=spec.experiment.loop_path(spec.ideal))
+    for name, limit in spec.margin_goals.items():
+        goal, values = MARGINS[name], np.asarray(getattr(found, name))
+        if not goal.kept(values, limit).all():
+            K_s = spec.judged_at[int((np.argmax if goal.ceiling else np.argmin)(values))]
+            value = f"{name} = {goal.worst(values):.4g} at {K_s:.4g} N/m"
+            remedy = 'They stay as they are: tune them by themselves first, or take published = "cautious".'
+            raise InputError("params", value, f"{goal.sign} {goal.amount(limit)} with its fixed gains", remedy)
 
 
 def _file(name: str, spec: TuneSpec) -> str:

@@ -1,0 +1,101 @@
+"""The table [tune.free] of a job: which parameters move between which bounds, of the controller and of its knots."""
+
+import math
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.quantities import PARAMETERS
+from jaxmpc.synthesis.params import Params
+from tuning.job.space import KNOTS, Bounds, FreeParameter, axis_of
+
+
+def free_table(table: Any, prefix: str = "") -> dict[str, Bounds | None]:
+    """Bounds by name, None for the default ones.
+
+    Args:
+        table: Of the file; names of knots stand in tables of their own, `knots` and in it such as `2`.
+        prefix: What names in it begin with.
+
+    Raises:
+        InputError: It is no table, or a value neither bounds nor true.
+    """
+    if not isinstance(table, dict):
+        raise InputError("tune.free", table, "a table", "Write `[tune.free]` and one line per parameter.")
+    free: dict[str, Bounds | None] = {}
+    for key, value in table.items():
+        name = prefix + key
+        if isinstance(value, dict) and (key == KNOTS[:-1] or prefix):
+            free |= free_table(value, f"{name}.")
+            continue
+        numbers = isinstance(value, list) and all(type(x) in (int, float) for x in value)
+        if not (value is True or (numbers and len(value) == 2)):
+            remedy = "Leave a frozen parameter out; `true` takes the default bounds."
+            raise InputError(f"tune.free.{name}", value, "[lowest, highest] or true", remedy)
+        free[name] = None if value is True else (value[0], value[1])
+    return free
+
+
+def axes_of(
+    free: Mapping[str, Bounds | None], diagonals: Collection[str], tied: Collection[str], params: Params
+) -> list[FreeParameter]:
+    """The axes of a job: one for each name, but for a name of all knots, which has one for each unless they are tied.
+
+    Args:
+        free: Bounds, None for the default ones, of "lam" of the controller, "knots.lam" of all knots but those that
+            have their own, "knots.2.lam" of the second.
+        diagonals: Parameters of the controller of which each entry is free by itself.
+        tied: Parameters that all knots have in common.
+        params: The controller.
+
+    Raises:
+        InputError: No such parameter or knot.
+    """
+    count, order = len(params.knots), params.disturbance_order
+    found: list[FreeParameter] = []
+    for name, bounds in free.items():
+        which, _, parameter = name.removeprefix(KNOTS).rpartition(".") if name.startswith(KNOTS) else ("", "", name)
+        key, given = f"tune.free.{name}", bounds or "true"
+        if parameter not in PARAMETERS:
+            raise InputError(key, given, "a known parameter", nearest(parameter, list(PARAMETERS)))
+        if not name.startswith(KNOTS):
+            found.append(axis_of(name, bounds, name in diagonals, order))
+            continue
+        if not count:
+            raise InputError(key, given, "free where there are knots", 'Start from some: published = "family".')
+        if which and which not in map(str, range(1, count + 1)):
+            raise InputError(key, which, f"a knot from 1 to {count}", "The first is that of the softest tissue.")
+        others = tuple(i for i in range(count) if f"{KNOTS}{i + 1}.{parameter}" not in free)
+        if which or parameter in tied:
+            found.append(axis_of(name, bounds, False, order, (int(which) - 1,) if which else others))
+        else:
+            found += [axis_of(f"{KNOTS}{i + 1}.{parameter}", bounds, False, order, (i,)) for i in others]
+    return found
+
+
+def check_axis(axis: FreeParameter, params: Params) -> None:
+    """Refuse bounds that a parameter cannot have, or that leave out the start.
+
+    Raises:
+        InputError: Names key, value, bound and remedy.
+    """
+    key, row = f"tune.free.{axis.name}", PARAMETERS[axis.parameter]
+    (low, high), bounds = row.bounds, [axis.low, axis.high]
+    for value in bounds:
+        for unit in [axis.counted_in(params, knot) for knot in axis.knots] or [1.0]:
+            if not (math.isfinite(value) and low <= value * unit <= high):
+                bound = f"in [{low / unit:g}, {high / unit:g}] {axis.unit}"
+                raise InputError(key, value, bound, "Move this bound inside.")
+    if axis.low >= axis.high:
+        raise InputError(key, bounds, "[lowest, highest]", "Exchange or part the bounds.")
+    if axis.whole and (axis.low % 1 or axis.high % 1):
+        raise InputError(key, bounds, "whole numbers of samples", "Round them.")
+    start = axis.of(params)
+    if np.ndim(start) and not axis.length:
+        remedy = f'Add "{axis.name}" to tune.diagonals, or start from one number.'
+        raise InputError(f"params.{axis.name}", "a diagonal", "one number to be tuned as one", remedy)
+    if np.any(start < axis.low) or np.any(start > axis.high):
+        remedy = f"The start {start:g} lies outside: move it, or widen the bounds."
+        raise InputError(key, bounds, "around the start point", remedy)
