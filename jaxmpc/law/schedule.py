@@ -8,6 +8,7 @@ With the authority w of what is known, each gain and the damping are
 All states are forces, force rates and accelerations and mean the same with all gains, so nothing jumps as K̂ or w move.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 from jaxmpc.law import identification
@@ -36,7 +37,14 @@ def at(schedule: GainSchedule, log_stiffness: Scalar, ops: Ops) -> tuple[Gains, 
 
 
 def listen(
-    gains: Gains, axis: AxisState, force: Scalar, tip: Scalar, wanted: Scalar, backed_off: Scalar, ops: Ops
+    gains: Gains,
+    axis: AxisState,
+    force: Scalar,
+    tip: Scalar,
+    wanted: Scalar,
+    backed_off: Scalar,
+    elsewhere: Scalar,
+    ops: Ops,
 ) -> tuple[AxisState, Scalar, Scalar]:
     """Learn from one sample of the tissue, where there is a schedule.
 
@@ -47,6 +55,7 @@ def listen(
         tip: Measured displacement of the tip [m].
         wanted: Wanted force [N].
         backed_off: Share of the gain that a guard is taking back [-].
+        elsewhere: Largest doubt of any axis at the last sample [-].
         ops: Scalar functions.
 
     Returns:
@@ -55,9 +64,17 @@ def listen(
     if gains.schedule is None or axis.tissue is None:
         return axis, 0.0, 0.0
     constants = gains.schedule.identification
-    tissue = identification.step(constants, axis.tissue, force, tip, wanted, axis.v, backed_off, ops)
+    tissue = identification.step(constants, axis.tissue, force, tip, wanted, axis.v, backed_off, elsewhere, ops)
     heard = identification.answer(constants, tissue)
     return axis._replace(tissue=tissue), identification.dither(constants, tissue), heard
+
+
+def doubt(axes: Iterable[AxisState], ops: Ops) -> Scalar:
+    """Largest doubt that any axis has of its tissue [-]; 0 without a schedule."""
+    found: Scalar = 0.0
+    for axis in axes:
+        found = found if axis.tissue is None else ops.maximum(found, axis.tissue.doubt)
+    return found
 
 
 def damped(axis: AxisState, damping: Scalar) -> AxisState:

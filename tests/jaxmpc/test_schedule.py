@@ -71,7 +71,7 @@ def test_without_a_schedule_nothing_is_touched() -> None:
     plain = scalars(design(Params()), preview=False)
     axis = cascade.init(plain, -5.0)
     assert schedule.now(plain, 10.0, axis, ops) == (plain, 10.0)
-    assert schedule.listen(plain, axis, -5.0, 0.1, -5.0, 0.0, ops) == (axis, 0.0, 0.0)
+    assert schedule.listen(plain, axis, -5.0, 0.1, -5.0, 0.0, 0.0, ops) == (axis, 0.0, 0.0)
 
 
 def test_the_margins_with_a_knot_held_are_those_of_its_controller() -> None:
