@@ -35,6 +35,10 @@ class Ops:
     def clip(value: Any, low: Any, high: Any) -> Any:
         return casadi.fmin(casadi.fmax(value, low), high)
 
+    @staticmethod
+    def replaced(value: Any, new: Any) -> Any:
+        return new
+
 
 class Episode:
     """One controller on one tissue from start to end, in compiled C."""

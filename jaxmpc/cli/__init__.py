@@ -28,7 +28,7 @@ VERBS = {
     ),
     "tune": Verb("tuning.cli", "gradient autotuning, worst case over stiffness, margins held"),
     "limit": Verb("jaxmpc.cli.limit", "the least residual that any linear law could reach, and a controller beside it"),
-    "trials": Verb("tuning.trials.cli", "random trials of a controller on the arm: how often does it become unstable?"),
+    "trials": Verb("tuning.trials.cli", "random trials of a controller on the arm: how often is it lost, or swings"),
     "freeze": Verb("jaxmpc.cli.freeze", "parameters → a sealed controller for the robot"),
     "identify": Verb(
         "jaxmpc.cli.identify", "joint friction and mass error of the arm from a recording of its own motion"

@@ -25,7 +25,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "experiment", help="a TOML file, or a published one: table-1, figure-3, table-1-wam, figure-3-wam, …"
     )
     parser.add_argument(
-        "--params", default="text", help="a params.toml, or a published set: text, printed, mpc-alone, cautious (text)"
+        "--params",
+        default="text",
+        help="a params.toml, or a published set: text, printed, mpc-alone, cautious, family (text)",
     )
     parser.add_argument("--physics", choices=("linear", "wam", "mjx"), help="contact loop, arm, or arm on stock MJX")
     parser.add_argument("--compare", action="store_true", help="also run the AOB alone and the MPC alone")

@@ -298,8 +298,9 @@ def _decide(
     arrived = ops.clip(2.0 - 20.0 * abs(miss), 0.0, 1.0)
     large = ops.clip(2.0 * ops.maximum(doubt, elsewhere) - 1.0, 0.0, 1.0)
     authority = state.authority + T_s * (RISING * sure * arrived - FALLING * large)
-    # Once it is more than half on again, the sine stays until the stiffness has been heard.
-    unsettled = ops.clip(ops.maximum(1.0 - settled, 10.0 * doubt), 0.0, 1.0)
+    # Once it is more than half on again, the sine grows, and stays, until the stiffness has been heard.
+    begun = ops.clip(10.0 * state.listening - 5.0, 0.0, 1.0) * ops.clip(8.5 - 10.0 * state.heard, 0.0, 1.0)
+    unsettled = ops.clip(ops.maximum(ops.maximum(1.0 - settled, 10.0 * doubt), begun), 0.0, 1.0)
     done = ops.maximum(sure * arrived, ops.clip(6.0 - 10.0 * state.listening, 0.0, 1.0))
     listening = state.listening + HEARING * T_s * (unsettled - (1.0 - unsettled) * done)
     return state._replace(

@@ -40,6 +40,9 @@ class Ops(Protocol):
     def clip(self, value: Scalar, low: Scalar, high: Scalar, /) -> Scalar:
         """A value held within two limits."""
 
+    def replaced(self, value: Scalar, new: Scalar, /) -> Scalar:
+        """Another value in the place of one, whose slope stays: what a tuner sees through a limit."""
+
     def where(self, condition: Any, this: Scalar, that: Scalar, /) -> Scalar:
         """This where the condition holds, else that."""
 
@@ -66,6 +69,10 @@ class _Floats:
     @staticmethod
     def clip(value: float, low: float, high: float) -> float:
         return min(max(value, low), high)
+
+    @staticmethod
+    def replaced(value: float, new: float) -> float:
+        return new
 
     @staticmethod
     def where(condition: bool, this: float, that: float) -> float:

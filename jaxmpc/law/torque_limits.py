@@ -55,7 +55,7 @@ def limit(limits: TorqueLimits, wanted: Vector, last: Vector, ops: Ops) -> tuple
     within = (t1, ops.where(over, s2, t2), ops.where(over, s3, t3), t4)
     apart = sum((abs(value - new) for value, new in zip(wanted, within, strict=True)), start=0.0)
     # Held to exactly the torques found, whose tangent is left to the wanted ones.
-    passed = tuple(ops.clip(value, new, new) for value, new in zip(wanted, within, strict=True))
+    passed = tuple(ops.replaced(value, new) for value, new in zip(wanted, within, strict=True))
     return passed, ops.where(apart > 0.0, 1.0, 0.0)
 
 

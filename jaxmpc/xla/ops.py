@@ -1,7 +1,7 @@
 """What the law and the world need besides + - * /, on JAX scalars; steps are straight-through in the tangent.
 
-The true derivative of a quantiser is zero and that of a saturation drops to zero: both would hide the loop from a
-tuner. Their tangent here is that of the identity.
+The true derivative of a quantiser is zero and that of a drive's saturation drops to zero: both would hide the loop from
+a tuner. `floor` and `replaced` have that of the identity; `clip`, of which the law decides, has its own.
 """
 
 from typing import Any
@@ -55,12 +55,17 @@ def _floor_jvp(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
     return jnp.floor(primals[0]), tangents[0]
 
 
-@jax.custom_jvp
 def clip(value: Any, low: Any, high: Any) -> Any:
     """A value held within two limits."""
     return jnp.minimum(jnp.maximum(value, low), high)
 
 
-@clip.defjvp
-def _clip_jvp(primals: tuple[Any, Any, Any], tangents: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-    return clip(*primals), tangents[0]
+@jax.custom_jvp
+def replaced(value: Any, new: Any) -> Any:
+    """Another value in the place of one, whose slope stays."""
+    return new
+
+
+@replaced.defjvp
+def _replaced_jvp(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
+    return replaced(*primals), tangents[0]

@@ -102,17 +102,19 @@ def test_a_batch_is_its_rows():
 
 @pytest.mark.parametrize("value", [-2.3, 0.0, 0.7, 5.0])
 def test_steps_are_straight_through_in_both_modes(value):
-    """Values are floor's and clip's; slopes are 1 throughout, those of the limits 0."""
-    x = jnp.float64(value)
-
-    def clipped(x, low, high):
-        return ops.clip(x, low, high)
-
+    """Values are floor's and those that took another's place; slopes are 1 throughout. A clip has its own slope."""
+    x, held = jnp.float64(value), min(max(value, -1.0), 1.0)
     assert ops.floor(x) == math.floor(value)
-    assert clipped(x, -1.0, 1.0) == min(max(value, -1.0), 1.0)
+    assert ops.replaced(x, jnp.float64(held)) == held
+    assert ops.clip(x, -1.0, 1.0) == held
     for derivative in (jax.jacfwd, jax.jacrev):
         assert derivative(ops.floor)(x) == 1.0
-        assert [float(derivative(clipped, i)(x, -1.0, 1.0)) for i in range(3)] == [1.0, 0.0, 0.0]
+        assert [float(derivative(ops.replaced, i)(x, jnp.float64(held))) for i in range(2)] == [1.0, 0.0]
+        assert [float(derivative(ops.clip, i)(x, -1.0, 1.0)) for i in range(3)] == [
+            float(value == held),
+            float(value < held),
+            float(value > held),
+        ]
 
 
 def test_slopes_of_the_drives_are_those_of_perfect_ones():

@@ -30,6 +30,7 @@ FLOATS = SimpleNamespace(
     maximum=max,
     where=lambda condition, this, that: this if condition else that,
     clip=lambda x, low, high: min(max(x, low), high),
+    replaced=lambda value, new: new,
 )
 CHAIN = chain()
 STILL = HeartSample((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

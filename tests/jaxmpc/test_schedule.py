@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import pytest
 
-from jaxmpc import Params, design, margins
+from jaxmpc import Experiment, Params, design, evaluate, margins
 from jaxmpc.engine.base import scalars
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import cascade, schedule
@@ -16,6 +17,7 @@ from jaxmpc.stability.family import family_margins
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla import ops
+from jaxmpc.xla.precision import in_float64
 
 FAMILY = Params.published("family")
 PLACES = FAMILY.listening.stiffness
@@ -141,3 +143,51 @@ def test_the_settings_are_the_laws_constants_in_engineering_units() -> None:
     A = np.array([[1.0, T_s, 0.5 * T_s**2], [0.0, 1.0, T_s], [0.0, 0.0, 1.0]])
     transition = A @ (np.eye(3) - np.outer([value, rate, curve], [1.0, 0.0, 0.0]))
     np.testing.assert_allclose(np.poly(transition), np.poly([np.exp(-1e-3 / 0.0035)] * 3), rtol=1e-9)
+
+
+@pytest.mark.oracle
+@in_float64
+def test_slopes_through_schedule_and_loop_are_central_differences() -> None:
+    """Twenty families on tissues that they have to find, which a hasty lock-in does within a second."""
+    hasty = replace(FAMILY.listening, lock_in=0.1, averaging=0.2, confidence=1.0, band=0.5)
+    experiment = Experiment.published("table-1")
+    # A step of a rounded force is no slope.
+    smooth = msgspec.structs.replace(experiment.sensor, lsb=(0.0, 0.0, 0.0))
+    places = tuple(np.geomspace(400.0, 1800.0, 4).tolist())
+    experiment = msgspec.structs.replace(experiment, duration=3.0, settle=2.0, stiffness=places, sensor=smooth)
+    random = np.random.default_rng(3)
+    around = 1.0 + 0.1 * random.uniform(-1.0, 1.0, (5, 3))
+
+    @jax.jit
+    def residual(factors: jax.Array) -> jax.Array:
+        """RMS of each tissue's axes together, as the knots' Q_p, their T_cl and the fixed Q_p are multiplied [N]."""
+        of_knots, of_fixed = factors[:2], factors[2]
+        knots = tuple(replace(knot, Q_p=knot.Q_p * of_knots[0], T_cl=knot.T_cl * of_knots[1]) for knot in FAMILY.knots)
+        family = replace(FAMILY, Q_p=FAMILY.Q_p * of_fixed, knots=knots, listening=hasty)
+        return jnp.linalg.norm(evaluate(family, experiment).metrics.rms, axis=-1)
+
+    slopes, h = jax.jit(jax.jacrev(residual)), 1e-5
+    compared = 0
+    for factors in jnp.asarray(around):
+        ends = [(residual(factors + h * e), residual(factors - h * e)) for e in np.eye(3)]
+        expected = np.stack([(up - down) / (2.0 * h) for up, down in ends], axis=-1)
+        assert (np.abs(expected[:, :2]).max(axis=1) > 1e-4).all(), "the schedule has flown"
+        # The schedule is switched by clips, whose corners a step of 1e-5 meets now and then.
+        scale = np.abs(expected).max(axis=1, keepdims=True)
+        np.testing.assert_allclose(slopes(factors) / scale, expected / scale, atol=1e-4, rtol=0)
+        compared += len(expected)
+    assert compared == 20
+
+
+def test_doubt_under_one_axis_takes_the_authority_from_all(gains: Gains) -> None:
+    axis = cascade.init(gains, 0.0)
+    assert axis.tissue is not None
+    sure = axis._replace(tissue=axis.tissue._replace(authority=1.0))
+    doubtful = axis._replace(tissue=axis.tissue._replace(doubt=2.0))
+    assert schedule.doubt((sure, doubtful, sure), ops) == 2.0
+    after, _, _ = schedule.listen(gains, sure, 0.0, 0.0, 0.0, 0.0, 2.0, ops)
+    assert after.tissue is not None
+    assert after.tissue.authority < 0.9
+    calm, _, _ = schedule.listen(gains, sure, 0.0, 0.0, 0.0, 0.0, 0.0, ops)
+    assert calm.tissue is not None
+    assert calm.tissue.authority == 1.0

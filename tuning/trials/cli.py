@@ -20,7 +20,7 @@ LISTED = 5
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("params", help="a params.toml, or a published set: text, printed, mpc-alone, cautious")
+    parser.add_argument("params", help="a params.toml, or a published set: text, printed, mpc-alone, cautious, family")
     parser.add_argument("--against", metavar="PARAMS", help="another controller in the same trials, `text` for example")
     parser.add_argument("--trials", type=int, default=10_000, help="how many (10000)")
     parser.add_argument(
