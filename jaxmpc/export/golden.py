@@ -18,6 +18,7 @@ from jaxmpc.law.gains import Gains
 from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.arm import chain
+from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.drive import read as drive_read
 from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
@@ -74,7 +75,7 @@ def read_in(experiment: Experiment, trace: Mapping[str, Any]) -> list[ArmRun]:
     signals = (np.asarray(trace[name]) for name in ("q", "force", "force_ref"))
     for q, force, force_ref in zip(*signals, strict=True):
         # The encoders are read as the arm reads them, but for the cable, which the trace does not tell.
-        measured = np.stack(drive_read(drive, tuple(q), np), axis=1)
+        measured = np.stack(drive_read(drive, tuple(q), ARRAYS), axis=1)
         wanted = np.moveaxis(force_ref, 0, 1)
         runs.append(ArmRun(measured, force.T, wanted if experiment.reference.preview else wanted[:, :, 0]))
     return runs

@@ -197,8 +197,8 @@ def step(guard: GainBackoff, state: BackoffState, error: Vector, ops: Ops, dithe
     ceiling = ceiling + (1.0 - left) * lower + guard.probing * state.memory.ceiling * (1.0 - state.memory.ceiling)
     gain = LEAST + left * (gain + guard.recovery * (ceiling - gain) - LEAST)
     memory = BackoffMemory(gain, ceiling, lately)
-    stages = first, second, third, fourth
-    return BackoffState(memory, stages, swing, drift, heard, share, overload, 0.0 * state.held_back)
+    filtered = first, second, third, fourth
+    return BackoffState(memory, filtered, swing, drift, heard, share, overload, 0.0 * state.held_back)
 
 
 def _passed(pole: Scalar, state: Vector, value: Vector) -> Vector:

@@ -1,7 +1,7 @@
 """Scalar functions that the law and the world need besides + - * /: what they are, and those of plain floats.
 
 Whoever runs the law brings its own: `jaxmpc.xla.ops` for JAX, the recorder of `deploy.runtime.straightline` for the
-robot, and `FLOATS` for everything that computes with numbers as they are.
+robot, `jaxmpc.world.arrays` for numpy's arrays, and `FLOATS` for numbers as they are.
 """
 
 import math

@@ -28,6 +28,7 @@ from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.scalar import sub
 from jaxmpc.world import friction
 from jaxmpc.world.arm import chain
+from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.heart.motion import displacement
 from jaxmpc.world.robot import Robot
 
@@ -70,7 +71,7 @@ def uncompensated_acceleration(experiment: Experiment) -> Float[np.ndarray, "ste
     x, velocity = displacement(experiment.motion, np.arange(experiment.steps) * T_s)
     q, qd = x @ posture.J_bar.T, velocity @ posture.J_bar.T
 
-    at = pose(truth, tuple((q + robot.posture).T), np)
+    at = pose(truth, tuple((q + robot.posture).T), ARRAYS)
     bias_error = robot.nominal.mass_scale * _bias(model, at, qd) - _bias(truth, at, qd)
     restoring = -(POSTURE_STIFFNESS * q + POSTURE_DAMPING * qd)
     given = restoring @ posture.M_n + bias_error - qd * robot.viscous
@@ -85,7 +86,7 @@ def uncompensated_acceleration(experiment: Experiment) -> Float[np.ndarray, "ste
 
 
 def _posture(truth: Chain, model: Chain, robot: Robot) -> _Posture:
-    at = pose(truth, tuple(np.asarray(robot.posture)), np)
+    at = pose(truth, tuple(np.asarray(robot.posture)), ARRAYS)
     J = np.array(tip(truth, at).jacobian, float)
     M = np.array(mass_matrix(truth, at), float) + np.diag(truth.armature)
     M_n = robot.nominal.mass_scale * np.array(mass_matrix(model, at), float) + np.diag(truth.armature)

@@ -26,6 +26,7 @@ from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import spring_integrals
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
+from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath, loop_path
 from jaxmpc.xla.once import JitOnce
@@ -48,7 +49,7 @@ def presliding_frequencies(experiment: "Experiment") -> Float[np.ndarray, "3"]:
 
     robot = robot_of(experiment)
     truth = with_point_mass(chain(), robot.tool_mass)
-    at = pose(truth, tuple(np.asarray(robot.posture)), np)
+    at = pose(truth, tuple(np.asarray(robot.posture)), ARRAYS)
     J = np.array(tip(truth, at).jacobian, float)
     M = np.array(mass_matrix(truth, at), float) + np.diag(truth.armature)
     mobility = J @ np.linalg.solve(M, J.T)

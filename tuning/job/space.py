@@ -38,14 +38,14 @@ class FreeParameter(NamedTuple):
     """One free parameter, or all entries of one diagonal."""
 
     name: str
-    """Of `PARAMETERS`; for knots `KNOTS` and, for one alone, its number from 1 on stand before it."""
+    """Name in `PARAMETERS`; for knots `KNOTS` and, for one alone, its number from 1 on stand before it."""
     low: float
     high: float
     scale: float
     length: int
     """Entries of a diagonal; 0 is a scalar."""
     knots: tuple[int, ...] = ()
-    """Of which knots it is, tied if of several; empty for the controller itself."""
+    """Knots that have it, tied if of several; empty for the controller itself."""
 
     @property
     def parameter(self) -> str:
@@ -59,7 +59,7 @@ class FreeParameter(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Of its values."""
+        """Unit of its values."""
         return "-" if self.knots and self.parameter == ASSUMED else PARAMETERS[self.parameter].unit
 
     @property

@@ -25,7 +25,7 @@ LOST = 2.0
 """A residual beyond this means that a controller did not hold the heart [N] (`definitions.md`)."""
 
 
-class Judged(NamedTuple):
+class JudgedMargins(NamedTuple):
     """Margins that goals are about, each (cells,): of the fixed gains, and of a family with the stiffness known."""
 
     margins: Margins
@@ -62,8 +62,8 @@ class TuneResult:
     """The descent, and on the arm the rounds of space mapping."""
     orders: dict[int, float]
     """Score of each disturbance order after its descent [-]."""
-    known: tuple[Judged | None, Judged | None] = (None, None)
-    """Of families with the stiffness known, as `jaxmpc freeze` judges them."""
+    known: tuple[JudgedMargins | None, JudgedMargins | None] = (None, None)
+    """Margins of families with the stiffness known, as `jaxmpc freeze` judges them."""
     refused: str = ""
     """Why freezing refuses it; "" where it accepts, and for jobs that are not for a robot."""
 
@@ -72,13 +72,13 @@ class TuneResult:
         """Whether it holds every hard goal, and freezing accepts it where it is for a robot."""
         return self.feasible and not self.refused
 
-    def judged(self, which: int) -> Judged:
+    def judged(self, which: int) -> JudgedMargins:
         """Everything whose margins are judged of the controller before (0) or after (1)."""
         found = self.margins["ideal" if self.spec.ideal else "as run"]
         fixed: Margins = jax.tree.map(lambda field: field[which], found)
         at = self.spec.judged_at
-        parts = [Judged(fixed, at, np.full(len(at), np.nan)), self.known[which]]
-        whole: Judged = jax.tree.map(lambda *leaves: np.concatenate(leaves), *filter(None, parts))
+        parts = [JudgedMargins(fixed, at, np.full(len(at), np.nan)), self.known[which]]
+        whole: JudgedMargins = jax.tree.map(lambda *leaves: np.concatenate(leaves), *filter(None, parts))
         return whole
 
     def stable(self, ideal: bool) -> np.ndarray:
@@ -187,14 +187,14 @@ def assess(history: SearchHistory, show: bool = False) -> TuneResult:
     return TuneResult(spec, params, state.feasible, runs, found, history.steps, history.orders, known, refused)
 
 
-def _known(spec: TuneSpec, params: Params) -> Judged | None:
+def _known(spec: TuneSpec, params: Params) -> JudgedMargins | None:
     """Margins of a family with the stiffness known; None of a controller without knots."""
     if params.listening is None:
         return None
     known, ratios = judged_where(params.listening)
     found = family_margins(params, known, ratios, spec.experiment.loop_path(spec.ideal))
     flat: Margins = jax.tree.map(np.ravel, found)
-    return Judged(flat, np.outer(known, ratios).ravel(), np.repeat(known, len(ratios)))
+    return JudgedMargins(flat, np.outer(known, ratios).ravel(), np.repeat(known, len(ratios)))
 
 
 def _ranked(spec: TuneSpec, state: SearchState, show: bool) -> list[Params]:
