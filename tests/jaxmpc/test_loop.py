@@ -15,6 +15,7 @@ from jaxmpc.experiment.tables import Change
 from jaxmpc.loop.arm import ArmLoop, ArmSample, ArmSignals, Cell, advance, noticed, start, untroubled
 from jaxmpc.world import robot
 from jaxmpc.world.arm import chain
+from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.robot import HeartSample
 from jaxmpc.xla import ops
 from tests.jaxmpc.arm_tables import NO_COUNTS, TABLE, changed
@@ -40,13 +41,13 @@ def forces(experiment: Experiment, samples: int = 40) -> np.ndarray:
     """Measured forces of some samples from `BEGIN` on, where the heart moves; the tip touches it there first."""
     (loop, cell), signals = loop_of(experiment), scenario_data(experiment).signals
     heart, between, noise, wanted, score, softening, watch, time = (np.asarray(field)[0] for field in signals[:8])
-    carry, found = start(loop, cell, np), []
+    carry, found = start(loop, cell, ARRAYS), []
     rest = np.stack([heart[BEGIN, 0], np.zeros(3)])
     heart, between = heart - rest, between - rest
     for k in range(BEGIN, BEGIN + samples):
         met, asked = HeartSample(*map(tuple, heart[k])), [HeartSample(*map(tuple, each)) for each in between[k]]
         now = ArmSignals(met, asked, noise[k], wanted[k], score[k], softening[k], watch[k], time[k])
-        carry, sample = advance(loop, cell, carry, now, np)
+        carry, sample = advance(loop, cell, carry, now, ARRAYS)
         found.append(sample.force)
     return np.array(found)
 
@@ -101,7 +102,7 @@ def test_a_tissue_that_softens_pushes_less() -> None:
     forces = []
     for factor in (told[0], told[-1]):
         now = NOW._replace(heart=RISEN, between=(RISEN,), softening=float(factor))
-        forces.append(advance(loop, cell, start(loop, cell, np), now, np)[1].force[2])
+        forces.append(advance(loop, cell, start(loop, cell, ARRAYS), now, ARRAYS)[1].force[2])
     assert abs(forces[0]) > 0.7
     assert forces[1] == pytest.approx(0.5 * forces[0], rel=1e-9)
 
@@ -110,7 +111,7 @@ def test_a_tissue_that_softens_pushes_less() -> None:
 def test_a_torque_acts_after_its_delay(delay: int) -> None:
     """Sent at sample 0, it is the first to move the arm between sample `delay` and the next."""
     loop, cell = loop_of(changed(TABLE, delay=delay))
-    begun = start(loop, cell, np).robot
+    begun = start(loop, cell, ARRAYS).robot
     weight = begun.pending[0]
 
     def moved(first: float) -> list[float]:
@@ -118,7 +119,7 @@ def test_a_torque_acts_after_its_delay(delay: int) -> None:
         for k in range(4):
             push = first if k == 0 else 0.0
             sent = tuple(torque + push for torque in weight)
-            state = robot.move(loop.chain, loop.structure, cell.robot, state, sent, [STILL], robot.accelerate, np)
+            state = robot.move(loop.chain, loop.structure, cell.robot, state, sent, [STILL], robot.accelerate, ARRAYS)
             angles.append(state.q[3])
         return angles
 
@@ -132,7 +133,7 @@ def test_trouble_is_noticed_when_it_begins() -> None:
     def after(*steps: tuple[dict[str, Any], dict[str, Any]]) -> tuple[float, float, float]:
         trouble = untroubled(0.0)
         for sampled, met in steps:
-            trouble = noticed(trouble, sample._replace(**sampled), NOW._replace(**met), 15.0, np)
+            trouble = noticed(trouble, sample._replace(**sampled), NOW._replace(**met), 15.0, ARRAYS)
         return float(trouble.diverged), float(trouble.over_limit), float(trouble.lost_contact)
 
     above, below = {"tip": (0.0, 0.0, 1e-6)}, {"tip": (0.0, 0.0, -1e-6)}
@@ -157,7 +158,9 @@ def test_derivative_of_forward_dynamics_is_the_central_difference() -> None:
     step = 1e-6
 
     def shifted(sign: float) -> np.ndarray:
-        return np.array(robot.accelerate(chain(), *jax.tree.map(lambda x, d: x + sign * step * d, point, tangent), np))
+        return np.array(
+            robot.accelerate(chain(), *jax.tree.map(lambda x, d: x + sign * step * d, point, tangent), ARRAYS)
+        )
 
     as_arrays = (jax.tree.map(jnp.asarray, tree) for tree in (point, tangent))
     value, slope = jax.jit(lambda p, d: jax.jvp(lambda *p: implicit(chain(), *p, ops), p, d))(*as_arrays)

@@ -16,6 +16,7 @@ from jaxmpc.loop.arm import ArmCarry, ArmLoop, ArmSignals, Cell, advance, start
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.whole_arm import lost, radii, robots_of, whole_arm_matrix
 from jaxmpc.world.arm import chain
+from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.robot import HeartSample, Robot, RobotStructure, accelerate
 from tuning import trials
 
@@ -64,7 +65,7 @@ QUIET = ArmSignals(STILL, (STILL,), (0.0,) * 3, ((0.0,),) * 3, (1.0,) * 3, 1.0, 
 
 def at_rest(loop: ArmLoop, cell: Cell) -> tuple[np.ndarray, Any]:
     """The state of law and arm as numbers, and the structure that they have."""
-    carry = start(loop, cell, np)
+    carry = start(loop, cell, ARRAYS)
     leaves, structure = jax.tree.flatten((carry.controller, carry.robot))
     return np.array(leaves, float), structure
 
@@ -82,7 +83,7 @@ def test_it_is_the_slope_of_one_sample() -> None:
     n, step = len(rest), 1e-5
     shifted = rest[:, None] + step * np.hstack([np.eye(n), -np.eye(n)])
     begun = ArmCarry(*jax.tree.unflatten(structure, list(shifted)), (0.0,) * 3, (0.0,) * 4)
-    after, _ = advance(loop, cell, begun, QUIET, np)
+    after, _ = advance(loop, cell, begun, QUIET, ARRAYS)
     following = jax.tree.leaves((after.controller, after.robot))
     above, below = np.split(np.stack([np.broadcast_to(row, 2 * n) for row in following]), 2, axis=1)
     found = np.asarray(whole_arm_matrix(chain(), kind, world_of(given)[1], gains, 20.0))
@@ -107,7 +108,7 @@ def test_free_modes_are_those_of_masses_and_springs() -> None:
     eigenvalues = np.linalg.eigvals(matrix[np.ix_(bodies, bodies)])
     turned = np.sort(np.angle(eigenvalues[eigenvalues.imag > 1e-3]))
 
-    at = arm.pose(links, robot.posture, np)
+    at = arm.pose(links, robot.posture, ARRAYS)
     M, J = np.array(arm.mass_matrix(links, at), float), np.array(arm.tip(links, at).jacobian, float)
     spring = np.diag(robot.cable.stiffness)
     K = np.block([[spring, -spring], [-spring, spring + K_S * J.T @ J]])

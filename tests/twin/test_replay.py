@@ -33,7 +33,8 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
     for k in range(samples):
         q, force = tuple(q_all[k]), tuple(force_all[k])
         if artifact.gains.schedule:  # a tissue, whose stiffness can be found
-            force = tuple(y + STIFFNESS * x for y, x in zip(force, runtime.tip(q), strict=True))
+            pressed = zip(force, runtime.tip(q), runtime.tip(tuple(q_all[0])), strict=True)
+            force = tuple(y + STIFFNESS * (x - touched) for y, x, touched in pressed)
         ref = tuple(map(tuple, wanted_all[k])) if artifact.preview else tuple(axis[0] for axis in wanted_all[k])
         first = tuple(axis[0] for axis in wanted_all[k])
         qd = runtime.velocity(q)
