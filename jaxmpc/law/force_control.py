@@ -151,7 +151,7 @@ def respond(
             known = backed_off(known, guard.memory.gain, ops)
         following, command = cascade.respond(known, axis, y, tuple(plus(wanted, dither) for wanted in ahead))
         damping.append(times(K2, xdot))
-        axes.append(schedule.damped(following, damping[-1]))
+        axes.append(following)
         v.append(command)
     a = sub(tuple(v), tuple(damping))
     bristles, torque = torque_for(controller, state, add(a, push), force, ops)

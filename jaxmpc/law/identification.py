@@ -10,15 +10,14 @@ has a third of the power of what is left in Y − K X where the rest is white, s
 
     w = c √(1.5 ⟨|n|²⟩) / |Y|                                                                   relative width
 
-The lock-in takes seconds. Whether the tissue has *changed* since is watched without the sine: a fading-memory filter
-predicts the force from its past, another one from the accelerations that were asked, and
+The lock-in takes seconds, and the sine is not to sound for ever. Whether the tissue has become stiffer since is heard
+without it: a fading-memory filter predicts the force from its past, and what it cannot predict,
 
-    ε(K) = ε_y − K ε_a,   K_w = ⟨ε_y ε_a⟩/⟨ε_a²⟩                                                watch
+    ⟨ε²⟩, over a second and over a few samples                                                  watch
 
-is compared with what it was when the sine went off: it is far from K, since the controller answers to ε_y, but as far
-from K at all times. So is ⟨ε_y²⟩, over a second and over a few samples: it is the sensor's noise, which no heart
-changes, until a loop with too much gain begins to ring. A change brings the sine back; a large one also takes the
-authority from the schedule, so that the fixed gains hold until the stiffness is known again.
+is the sensor's noise, which no heart and no tissue changes, until a loop with too much gain begins to ring. Softer
+tissue leaves a loop with too little gain, which is heard late, by the force's error alone. A change brings the sine back;
+a large one also takes the authority from the schedule, so that the fixed gains hold until the stiffness is known again.
 """
 
 from typing import Annotated, NamedTuple
@@ -87,48 +86,43 @@ class StiffnessEstimate(NamedTuple):
     """⟨|n|²⟩ [N²]."""
     heard: Scalar
     """How much of the averaging's memory is filled [-]."""
-    damping: Scalar
-    """Deceleration of the tip by the damping at the last sample, K₂ẋ [m/s²]."""
-    from_force: Triple
+    predicted: Triple
     """Force [N], rate [N/s] and second derivative [N/s²] as predicted from the measured forces."""
-    from_asked: Triple
-    """The same per stiffness, from the accelerations asked."""
-    moments: Pair
-    """⟨ε_y ε_a⟩ and ⟨ε_a²⟩ [N m], [m²]."""
     noise: Scalar
-    """⟨ε_y²⟩ [N²]."""
+    """⟨ε²⟩ [N²]."""
     burst: Scalar
     """The same over `BURST` alone [N²]."""
-    usual: Scalar
-    """K_w/K̂ while the tissue was as it was known [-]."""
-    usual_noise: Scalar
-    """⟨ε_y²⟩ then [N²]."""
     upset: Scalar
     """Mean square of the force's error [N²]."""
+    usual: Scalar
+    """What of ⟨ε²⟩ has been learned to be usual [N²]: so much for `learned`, which is how much of it has been."""
     learned: Scalar
-    """How much of that is learned since the sine went off [-]."""
+    """[-]"""
+    spent: Scalar
+    """How much of the time that the sine may sound is used up [-]."""
+    trust: Scalar
+    """Largest authority that the schedule may have, which falls where a guard took back gain that it had [-]."""
 
 
 FOLLOWING, RISING, FALLING, HEARING = 6.0, 2.0, 150.0, 2.0
 """Rates: of ln K̂ towards K per miss, of the authority up and down, of the sine [1/s]."""
+ENOUGH, REST, AGAIN = 15.0, 60.0, 0.6
+"""For how long the sine may sound without a break, the time constant with which that is forgotten [s], and to which
+share it must be forgotten before the sine returns [-]: on an arm on which nothing is heard, 7 s in 40."""
+DISTRUST, TRUST = 150.0, 150.0
+"""Rate at which the schedule is trusted less while a guard takes back gain that it has [1/s], to some 0.4 until the
+authority is gone, and the time constant with which trust returns [s]."""
 LEARNING, FORGETTING = 0.5, 0.02
 """Rates at which what is usual is learned when the sine has gone off, and ever after [1/s]."""
-STIFFER, SOFTER = 0.35, 1.5
-"""By how much more than usual, and less, K_w must tell from which on the tissue is taken to have changed [-]. Softer
-tissue brings the sine back and no more: a premature beat, too, brings K_w down, to 0.3 of what is usual."""
-UPSET, UPSET_MEMORY = 0.5, 0.1
-"""RMS of the force's error, and its memory [s], from which on the authority goes whatever the cause [N]: rhythms
-leave it below 0.4 N with the gains for the tissue."""
+UPSET, UPSET_MEMORY = 0.4, 0.1
+"""RMS of the force's error, and its memory [s], from which on the authority goes whatever the cause [N]: rhythms but
+for premature beats leave it below with the gains for the tissue."""
 BURST = 0.03
 """Memory of a burst [s]."""
-LOUDER, BURSTING, INAUDIBLE = 1.35, 2.5, 1e-6
+LOUDER, BURSTING, INAUDIBLE = 1.3, 2.2, 1e-6
 """From which multiple of what is usual on the noise, and a burst of it, tell of a loop that rings [-], with what is
-added to all of them [N²]. Measured: 1.0 ± 0.1 and at most 2.1 on every rhythm but for the strongest premature beats;
-1.1 and 2.2 on tissue 1.5 times as stiff as known, 1.5 and more, and 2.8 and more, where it is 1.9 times as stiff."""
-SIGMAS = 1.0
-"""What the noise of K_w adds to that, in standard deviations [-]."""
-LEAST_SEEN = 0.1
-"""Smallest share of what is usual that is told apart from none [-]."""
+added to all of them [N²]. Measured: 1.0 ± 0.06 and at most 1.8 on every rhythm but for the strongest premature beats;
+1.1 on tissue 1.6 times as stiff as known, 1.4 where it is twice as stiff."""
 UNHEARD = 10.0
 """Width before anything is heard [-]."""
 
@@ -136,7 +130,7 @@ UNHEARD = 10.0
 def init(constants: StiffnessIdentification, force: Scalar) -> StiffnessEstimate:
     """Nothing is known: contact has just been made, with a measured force [N]."""
     zero = 0.0 * force
-    none, still = (zero, zero), (zero, zero, zero)
+    none = zero, zero
     middle = 0.5 * (constants.least + constants.most) + zero
     return StiffnessEstimate(
         log_stiffness=middle,
@@ -150,16 +144,14 @@ def init(constants: StiffnessIdentification, force: Scalar) -> StiffnessEstimate
         tip=(none, none, none),
         rest=zero,
         heard=zero,
-        damping=zero,
-        from_force=(force, zero, zero),
-        from_asked=still,
-        moments=none,
+        predicted=(force, zero, zero),
         noise=zero,
         burst=zero,
-        usual=1.0 + zero,
-        usual_noise=zero,
         upset=zero,
+        usual=zero,
         learned=zero,
+        spent=zero,
+        trust=1.0 + zero,
     )
 
 
@@ -185,7 +177,6 @@ def step(
     force: Scalar,
     tip: Scalar,
     wanted: Scalar,
-    v: Scalar,
     backed_off: Scalar,
     elsewhere: Scalar,
     ops: Ops,
@@ -198,12 +189,11 @@ def step(
         force: Measured force on the tissue, before any filter of the law [N].
         tip: Measured displacement of the tip along the axis, from any origin [m].
         wanted: Wanted force, without the sine [N].
-        v: Command that was applied at the last sample [m/s²].
         backed_off: Share of the gain that a guard is taking back [-].
         elsewhere: Largest doubt of any axis at the last sample: what has changed under one has changed under all [-].
         ops: Scalar functions.
     """
-    state = _watch(constants, state, force, v - state.damping)
+    state = _watch(constants, state, force)
     state, stiffness = _listen(constants, state, force, tip, ops)
     error = force - answer(constants, state) - wanted
     state = state._replace(upset=state.upset + constants.T_s / UPSET_MEMORY * (error * error - state.upset))
@@ -238,19 +228,16 @@ def _listen(
     ), stiffness
 
 
-def _watch(
-    constants: StiffnessIdentification, state: StiffnessEstimate, force: Scalar, asked: Scalar
-) -> StiffnessEstimate:
-    """The watch: predictions from the force and from what was asked of the tip [m/s²], and what they have in common."""
-    error, share = force - state.from_force[0], state.from_asked[0]
-    common, power = state.moments
-    new = constants.watching
+def _watch(constants: StiffnessIdentification, state: StiffnessEstimate, force: Scalar) -> StiffnessEstimate:
+    """The watch: a fading-memory filter of second order, and the power of what it has not predicted."""
+    T_s, (of_value, of_rate, of_curve) = constants.T_s, constants.prediction
+    value, rate, curve = state.predicted
+    error = force - value
+    value, rate, curve = value + of_value * error, rate + of_rate * error, curve + of_curve * error
     return state._replace(
-        from_force=_predicted(constants, state.from_force, error, 0.0),
-        from_asked=_predicted(constants, state.from_asked, -share, asked),
-        moments=(common + new * (error * share - common), power + new * (share * share - power)),
-        noise=state.noise + new * (error * error - state.noise),
-        burst=state.burst + constants.T_s / BURST * (error * error - state.burst),
+        predicted=(value + T_s * rate + 0.5 * T_s * T_s * curve, rate + T_s * curve, curve),
+        noise=state.noise + constants.watching * (error * error - state.noise),
+        burst=state.burst + T_s / BURST * (error * error - state.burst),
     )
 
 
@@ -270,30 +257,18 @@ def _decide(
     sure = full * ops.clip(2.0 - 2.0 * state.width / band, 0.0, 1.0)
     log_stiffness = state.log_stiffness + FOLLOWING * T_s * sure * ops.clip(miss, -0.5, 0.5)
 
-    common, power = state.moments
-    seen = common / (power + TIP_FLOOR) / known
-    # Standard error of a mean over the memory of the watch, 2/α samples.
-    spread = ops.sqrt((0.5 * constants.watching * state.noise + TIP_FLOOR) / (power + TIP_FLOOR)) / known
-    share = ops.maximum(seen / state.usual, LEAST_SEEN)
-    noise = SIGMAS * spread / state.usual
-    stiffer, softer = (share - 1.0) / (STIFFER + noise), (1.0 / share - 1.0) / (SOFTER + noise)
-    quietest = state.usual_noise + INAUDIBLE
+    quietest = (state.usual + INAUDIBLE * state.learned + FORCE_FLOOR) / (state.learned + FORCE_FLOOR)
     louder = 2.0 * ((state.noise + INAUDIBLE) / quietest - LOUDER)
     bursting = 0.5 * ((state.burst + INAUDIBLE) / quietest - BURSTING)
     ringing = ops.maximum(louder, bursting)
     settled = ops.clip(50.0 * (state.authority - 0.98), 0.0, 1.0)
-    quiet = settled * (1.0 - state.listening)
     judged = ops.clip(10.0 * (state.learned - 0.8), 0.0, 1.0)
     swinging = ops.clip(5.0 * (backed_off - 0.1), 0.0, 2.0)
-    changed = ops.maximum(ops.clip(ops.maximum(stiffer - 1.0, ringing), 0.0, 2.0), ops.clip(softer - 1.0, 0.0, 0.5))
     upset = ops.clip(2.0 * (state.upset / UPSET**2 - 1.0), 0.0, 2.0)
-    doubt = ops.maximum(ops.maximum(judged * changed, upset), swinging)
-    calm = ops.clip(1.0 - ops.maximum(ops.maximum(stiffer, softer), 1.0 + ringing), 0.0, 1.0)
+    doubt = ops.maximum(ops.maximum(judged * ops.clip(ringing, 0.0, 2.0), upset), swinging)
+    calm = ops.clip(-ringing, 0.0, 1.0)
+    quiet = settled * (1.0 - state.listening)
     learning = T_s * quiet * (LEARNING * (1.0 - judged) + FORGETTING * calm)
-    usual = ops.maximum(state.usual + learning * (seen - state.usual), LEAST_SEEN)
-    learned = state.learned + T_s * (
-        quiet * LEARNING * (1.0 - state.learned) - HEARING * state.listening * state.learned
-    )
 
     arrived = ops.clip(2.0 - 20.0 * abs(miss), 0.0, 1.0)
     large = ops.clip(2.0 * ops.maximum(doubt, elsewhere) - 1.0, 0.0, 1.0)
@@ -302,15 +277,21 @@ def _decide(
     begun = ops.clip(10.0 * state.listening - 5.0, 0.0, 1.0) * ops.clip(8.5 - 10.0 * state.heard, 0.0, 1.0)
     unsettled = ops.clip(ops.maximum(ops.maximum(1.0 - settled, 10.0 * doubt), begun), 0.0, 1.0)
     done = ops.maximum(sure * arrived, ops.clip(6.0 - 10.0 * state.listening, 0.0, 1.0))
-    listening = state.listening + HEARING * T_s * (unsettled - (1.0 - unsettled) * done)
+    # What has begun goes on until the time is used up, and what has ended waits: in between nothing is stable.
+    limit = AGAIN + (1.0 - AGAIN) * state.listening
+    allowed = ops.clip(10.0 * (limit - state.spent), 0.0, 1.0) * ops.clip(4.0 * state.trust - 2.0, 0.0, 1.0)
+    sounding = unsettled * allowed - ops.maximum((1.0 - unsettled) * done, 1.0 - allowed)
+    listening = state.listening + HEARING * T_s * sounding
+    trust = state.trust + T_s * ((1.0 - state.trust) / TRUST - DISTRUST * state.authority * state.trust * swinging)
     return state._replace(
         log_stiffness=ops.clip(log_stiffness, constants.least, constants.most),
-        authority=ops.clip(authority, 0.0, 1.0),
+        authority=ops.clip(authority, 0.0, state.trust),
         listening=ops.clip(listening, 0.0, 1.0),
         doubt=doubt,
-        usual=usual,
-        usual_noise=state.usual_noise + learning * (state.noise - state.usual_noise),
-        learned=learned,
+        usual=state.usual + learning * (state.noise - state.usual),
+        learned=state.learned + learning * (1.0 - state.learned),
+        spent=state.spent + T_s * (state.listening / ENOUGH - state.spent / REST),
+        trust=ops.clip(trust, 0.0, 1.0),
     )
 
 
@@ -322,14 +303,6 @@ def _mixed(new: Scalar, passed: tuple[Pair, ...], change: Scalar, wave: Pair) ->
         following.append(value)
     once, twice, thrice = following
     return once, twice, thrice
-
-
-def _predicted(constants: StiffnessIdentification, state: Triple, error: Scalar, asked: Scalar) -> Triple:
-    """A fading-memory filter of second order, corrected by its error, at the next sample."""
-    T_s, (of_value, of_rate, of_curve) = constants.T_s, constants.prediction
-    value, rate, curve = state[0] + of_value * error, state[1] + of_rate * error, state[2] + of_curve * error
-    pull = curve + asked
-    return value + T_s * rate + 0.5 * T_s * T_s * pull, rate + T_s * pull, curve
 
 
 def _power(pair: tuple[Scalar, ...]) -> Scalar:

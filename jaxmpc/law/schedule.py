@@ -64,7 +64,7 @@ def listen(
     if gains.schedule is None or axis.tissue is None:
         return axis, 0.0, 0.0
     constants = gains.schedule.identification
-    tissue = identification.step(constants, axis.tissue, force, tip, wanted, axis.v, backed_off, elsewhere, ops)
+    tissue = identification.step(constants, axis.tissue, force, tip, wanted, backed_off, elsewhere, ops)
     heard = identification.answer(constants, tissue)
     return axis._replace(tissue=tissue), identification.dither(constants, tissue), heard
 
@@ -75,11 +75,6 @@ def doubt(axes: Iterable[AxisState], ops: Ops) -> Scalar:
     for axis in axes:
         found = found if axis.tissue is None else ops.maximum(found, axis.tissue.doubt)
     return found
-
-
-def damped(axis: AxisState, damping: Scalar) -> AxisState:
-    """The state that remembers the deceleration K₂ẋ by the damping at this sample [m/s²]."""
-    return axis if axis.tissue is None else axis._replace(tissue=axis.tissue._replace(damping=damping))
 
 
 def now(gains: Gains, K2: Scalar, axis: AxisState, ops: Ops) -> tuple[Gains, Scalar]:

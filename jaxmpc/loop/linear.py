@@ -88,7 +88,6 @@ def advance(
     controller, dither, _ = schedule.listen(gains, carry.controller, force, tip, now.force_ref[0], 0.0, 0.0, ops)
     known, K2 = schedule.now(gains, world.K2, controller, ops)
     controller, v = cascade.step(known, controller, force, tuple(plus(wanted, dither) for wanted in now.force_ref))
-    controller = schedule.damped(controller, K2 * state.velocity)
     state, a = contact.move(world._replace(K2=K2), state, v, now.acceleration)
     sample = Sample(force, now.force_ref, controller.u, v, a, controller.p_hat, tip, true)
     return LinearCarry(controller, state), sample

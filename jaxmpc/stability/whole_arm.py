@@ -119,7 +119,7 @@ def robots_of(experiments: Sequence[Experiment]) -> Robot:
 def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, " experiments"]:
     """Whether the linear loop of the whole arm is unstable, per experiment.
 
-    Milliseconds each, where a run takes seconds. It knows no friction that holds a joint, no event and no end: a slow
+    Seconds for any number of experiments of one structure. It knows no friction that holds a joint, no event and no end: a slow
     divergence that a run of some seconds does not show counts.
 
     Args:
@@ -136,19 +136,21 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
     for program in dict.fromkeys(programs):
         kind, T_s, force_filter = program
         mine = [i for i, each in enumerate(programs) if each == program]
-        matrices = _over_robots(params, robots_of([experiments[i] for i in mine]), T_s, force_filter, kind=kind)
+        matrices = _matrices(params, robots_of([experiments[i] for i in mine]), T_s, force_filter, kind)
         found[mine] = radii(np.asarray(matrices)) > 1.0 + ROUNDING
     return found
 
 
 def _matrices(
-    params: Params, robots: Robot, T_s: Any, force_filter: ForceFilter | None, kind: RobotStructure
+    params: Params, robots: Robot, T_s: float, force_filter: ForceFilter | None, kind: RobotStructure
 ) -> Float[Array, "robots n n"]:
-    gains, _ = design_one(params, T_s, force_filter=force_filter)
+    """One matrix per robot, operation by operation: 30 000 of them take two seconds, and minutes to compile."""
+    gains, _ = _designed(params, T_s, force_filter=force_filter)
+    robots = jax.tree.map(jnp.asarray, robots)
     return jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, params.K2))(robots)
 
 
-_over_robots = JitOnce(_matrices, static_argnames=("kind",))
+_designed = JitOnce(design_one)
 
 
 def _smooth(robot: Robot, sticking: bool) -> Robot:

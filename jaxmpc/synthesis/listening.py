@@ -32,7 +32,8 @@ class Listening:
 
     Attributes:
         stiffness: For which K̂ each knot is, rising [N/m].
-        amplitude: Of the sine that is added to the wanted force while the stiffness is not known [N].
+        amplitude: Of the sine that is added to the wanted force while the stiffness is not known [N]. By default its RMS
+            is just below what counts as swinging, 0.1 N.
         frequency: Of it, above whatever a heart does [Hz].
         lock_in: Time constant of each low-pass of the lock-in [s].
         averaging: Memory of what it hears besides the sine [s].
@@ -46,7 +47,7 @@ class Listening:
     """
 
     stiffness: tuple[float, ...]
-    amplitude: float = 0.3
+    amplitude: float = 0.14
     frequency: float = 17.0
     lock_in: float = 0.4
     averaging: float = 1.0

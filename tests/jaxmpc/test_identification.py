@@ -129,6 +129,26 @@ def test_a_tissue_that_stiffens_is_noticed_and_found_again(fly, before, after) -
     assert flown.stiffness[-1] == pytest.approx(after, rel=0.05)
 
 
+def test_a_tissue_that_stiffens_slowly_is_noticed_before_the_loop_is_unstable(fly) -> None:
+    """Three times in 8 s. A watch that learns the ringing as usual lets the force swing by 1.6 N here."""
+    flown = fly(lambda t: 600.0 * 3.0 ** min(max((t - 10.0) / 8.0, 0.0), 1.0), 25.0)
+    assert np.max(np.abs(flown.error[4000:])) < 0.6
+    assert flown.stiffness[-1] == pytest.approx(1800.0, rel=0.05)
+    assert flown.authority[-1] == 1.0
+
+
+def test_a_second_change_is_heard_as_the_first(fly) -> None:
+    def twice(t: float) -> float:
+        first, second = (min(max(5.0 * (t - begin), 0.0), 1.0) for begin in (9.0, 17.0))
+        return 400.0 + 500.0 * first + 1100.0 * second
+
+    flown = fly(twice, 25.0)
+    assert np.max(np.abs(flown.error[4000:])) < 1.0
+    assert np.max(flown.listening[9000:10_000]) > 0.5
+    assert np.min(flown.authority[17_000:17_500]) == 0.0
+    assert flown.stiffness[-1] == pytest.approx(2000.0, rel=0.05)
+
+
 def test_a_tissue_that_softens_never_costs_the_force(fly) -> None:
     """Too low a gain is stable here, so it may go unnoticed: no more is asked than that the force stays."""
     flown = fly(to(1400.0, 450.0), 22.0)
@@ -148,3 +168,39 @@ def test_where_nothing_can_be_heard_the_fixed_gains_hold(gains, fly) -> None:
     flown = fly(lambda t: 810.0, 8.0, gains._replace(schedule=quiet))
     assert np.all(flown.authority == 0.0)
     assert np.min(flown.width[2000:]) > family.identification.band
+
+
+def test_a_sine_that_finds_nothing_goes_off_and_tries_again(gains, fly) -> None:
+    """Fifteen seconds' worth, forgotten to 0.6 with a time constant of 60 s: then it is on for some 7 s in 40."""
+    family = gains.schedule
+    quiet = family._replace(identification=family.identification._replace(amplitude=0.002))
+    flown = fly(lambda t: 810.0, 24.0, gains._replace(schedule=quiet))
+    assert np.all(flown.listening[1000:14_000] == 1.0)
+    assert np.all(flown.listening[19_000:] == 0.0)
+
+    constants, state, sounding = family.identification, identification.init(family.identification, 0.0), []
+    for _ in range(180_000):
+        state = identification._decide(constants, state, 1.0, 0.0, 0.0, FLOATS)
+        sounding.append(state.listening)
+    heard = np.array(sounding[40_000:])
+    assert 0.1 < np.mean(heard) < 0.25
+    # It is on or off, and hardly ever in between: nothing weak sounds for ever.
+    assert np.mean((heard > 0.01) & (heard < 0.99)) < 0.04
+    assert np.sum(np.diff(heard > 0.5)) >= 6
+
+
+def test_a_schedule_under_which_a_guard_took_gain_back_is_trusted_again_within_minutes(gains) -> None:
+    constants = gains.schedule.identification
+    state = identification.init(constants, 0.0)._replace(authority=1.0)
+    for _ in range(2000):
+        state = identification._decide(constants, state, 810.0, 0.5, 0.0, FLOATS)
+    assert state.authority == 0.0
+    assert 0.3 < state.trust < 0.5
+    # Known all the time: it never has more than it is trusted with.
+    least = state.trust
+    for _ in range(100_000):
+        state = state._replace(width=0.0, heard=1.0, log_stiffness=np.log(810.0))
+        state = identification._decide(constants, state, 810.0, 0.0, 0.0, FLOATS)
+        assert state.authority <= state.trust
+    assert state.trust == pytest.approx(1.0 - (1.0 - least) * np.exp(-100.0 / 150.0), rel=1e-3)
+    assert state.authority == state.trust

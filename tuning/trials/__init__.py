@@ -275,8 +275,9 @@ def _computer(job: Job) -> Callable[[int], Outcomes]:
         flat = [field.swapaxes(0, 1).reshape(BLOCK, *field.shape[2:]) for field in ordered]
         flat[0] = flat[0].astype(np.int8)
         ran = Outcomes(*[*flat, np.zeros(flat[0].shape, bool)])
-        for i, c in np.argwhere(ran.beyond):
-            ran.whole_arm_unstable[i, c] = whole_arm.lost(job.controllers[c], [trials[i]])[0]
+        for c, params in enumerate(job.controllers):
+            asked = np.flatnonzero(ran.beyond[:, c])
+            ran.whole_arm_unstable[asked, c] = whole_arm.lost(params, [trials[i] for i in asked])
         return ran
 
     return compute
