@@ -16,8 +16,9 @@ without it: a fading-memory filter predicts the force from its past, and what it
     ⟨ε²⟩, over a second and over a few samples                                                  watch
 
 is the sensor's noise, which no heart and no tissue changes, until a loop with too much gain begins to ring. Softer
-tissue leaves a loop with too little gain, which is heard late, by the force's error alone. A change brings the sine back;
-a large one also takes the authority from the schedule, so that the fixed gains hold until the stiffness is known again.
+tissue leaves a loop with too little gain, which is heard late, by the force's error alone. A change brings the sine
+back; a large one also takes the authority from the schedule, so that the fixed gains hold until the stiffness is known
+again.
 """
 
 from typing import Annotated, NamedTuple
@@ -110,7 +111,7 @@ ENOUGH, REST, AGAIN = 15.0, 60.0, 0.6
 """For how long the sine may sound without a break, the time constant with which that is forgotten [s], and to which
 share it must be forgotten before the sine returns [-]: on an arm on which nothing is heard, 7 s in 40."""
 DISTRUST, TRUST = 150.0, 150.0
-"""Rate at which the schedule is trusted less while a guard takes back gain that it has [1/s], to some 0.4 until the
+"""Rate at which the schedule is trusted less while a guard takes back gain that it has [1/s], to some 0.3 until the
 authority is gone, and the time constant with which trust returns [s]."""
 LEARNING, FORGETTING = 0.5, 0.02
 """Rates at which what is usual is learned when the sine has gone off, and ever after [1/s]."""

@@ -119,8 +119,8 @@ def robots_of(experiments: Sequence[Experiment]) -> Robot:
 def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, " experiments"]:
     """Whether the linear loop of the whole arm is unstable, per experiment.
 
-    Seconds for any number of experiments of one structure. It knows no friction that holds a joint, no event and no end: a slow
-    divergence that a run of some seconds does not show counts.
+    Seconds for any number of experiments of one structure. It knows no friction that holds a joint, no event and no
+    end: a slow divergence that a run of some seconds does not show counts.
 
     Args:
         params: One controller.

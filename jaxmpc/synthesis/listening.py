@@ -32,8 +32,8 @@ class Listening:
 
     Attributes:
         stiffness: For which K̂ each knot is, rising [N/m].
-        amplitude: Of the sine that is added to the wanted force while the stiffness is not known [N]. By default its RMS
-            is just below what counts as swinging, 0.1 N.
+        amplitude: Of the sine that is added to the wanted force while the stiffness is not known [N]. By default its
+            RMS is just below what counts as swinging, 0.1 N.
         frequency: Of it, above whatever a heart does [Hz].
         lock_in: Time constant of each low-pass of the lock-in [s].
         averaging: Memory of what it hears besides the sine [s].
