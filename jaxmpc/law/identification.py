@@ -10,6 +10,9 @@ has a third of the power of what is left in Y − K X where the rest is white, s
 
     w = c √(1.5 ⟨|n|²⟩) / |Y|                                                                   relative width
 
+A tissue whose force leads the displacement, by Im(Y X*)/Re(Y X*), is not the spring that the gains are for: beyond the
+sensor's corner its damping adds to the loop's gain. There the fixed gains hold.
+
 The lock-in takes seconds, and the sine is not to sound for ever. Whether the tissue has become stiffer since is heard
 without it: a fading-memory filter predicts the force from its past, and what it cannot predict,
 
@@ -30,6 +33,7 @@ Pair = tuple[Scalar, Scalar]
 Triple = tuple[Scalar, Scalar, Scalar]
 FORCE_FLOOR, TIP_FLOOR = 1e-12, 1e-18
 """Powers far below what can be heard [N²], [m²]: quotients stay finite, and so do their slopes, in float32 too."""
+_LEAD_FLOOR = 1e-15
 _SHARE = Constant(low=0.0, below=1.0)
 _PAIR = Constant((2,))
 _TRIPLE = Constant((3,))
@@ -105,11 +109,14 @@ class StiffnessEstimate(NamedTuple):
     """Largest authority that the schedule may have, which falls where a guard took back gain that it had [-]."""
 
 
+ELASTIC, VISCOUS = 0.05, 0.09
+"""Lead of the force up to which the schedule may have all of the control, and from which on none [-]. The sensor's
+low-pass lets the force of a spring lag by 0.03; Hunt and Crossley's tissue, 0.5 s/m, leads by 0.1 to 0.5."""
 FOLLOWING, RISING, FALLING, HEARING = 6.0, 2.0, 150.0, 2.0
 """Rates: of ln K̂ towards K per miss, of the authority up and down, of the sine [1/s]."""
-ENOUGH, REST, AGAIN = 15.0, 60.0, 0.6
+ENOUGH, REST, AGAIN = 12.0, 60.0, 0.6
 """For how long the sine may sound without a break, the time constant with which that is forgotten [s], and to which
-share it must be forgotten before the sine returns [-]: on an arm on which nothing is heard, 7 s in 40."""
+share it must be forgotten before the sine returns [-]: on an arm on which nothing is heard, 6 s in 40."""
 DISTRUST, TRUST = 150.0, 150.0
 """Rate at which the schedule is trusted less while a guard takes back gain that it has [1/s], to some 0.3 until the
 authority is gone, and the time constant with which trust returns [s]."""
@@ -195,30 +202,31 @@ def step(
         ops: Scalar functions.
     """
     state = _watch(constants, state, force)
-    state, stiffness = _listen(constants, state, force, tip, ops)
+    state, stiffness, lead = _listen(constants, state, force, tip, ops)
     error = force - answer(constants, state) - wanted
     state = state._replace(upset=state.upset + constants.T_s / UPSET_MEMORY * (error * error - state.upset))
-    return _decide(constants, state, stiffness, backed_off, elsewhere, ops)
+    return _decide(constants, state, stiffness, lead, backed_off, elsewhere, ops)
 
 
 def _listen(
     constants: StiffnessIdentification, state: StiffnessEstimate, force: Scalar, tip: Scalar, ops: Ops
-) -> tuple[StiffnessEstimate, Scalar]:
-    """The lock-in: what it has heard, and the stiffness that this tells [N/m]."""
+) -> tuple[StiffnessEstimate, Scalar, Scalar]:
+    """The lock-in: what it has heard, the stiffness that this tells [N/m], and by how much the force leads [-]."""
     (cosine, sine), (turn_cosine, turn_sine) = state.wave, constants.turn
     wave = turn_cosine * cosine - turn_sine * sine, turn_sine * cosine + turn_cosine * sine
     on = ops.clip(1e3 * state.listening, 0.0, 1.0)
     heard_force = _mixed(constants.mixing, state.force, on * (force - state.last[0]), wave)
     heard_tip = _mixed(constants.mixing, state.tip, on * (tip - state.last[1]), wave)
     (_, Y2, Y), (_, X2, X) = heard_force, heard_tip
-    stiffness = (Y[0] * X[0] + Y[1] * X[1]) / (_power(X) + TIP_FLOOR)
+    in_phase, ahead = Y[0] * X[0] + Y[1] * X[1], Y[1] * X[0] - Y[0] * X[1]
+    stiffness = in_phase / (_power(X) + TIP_FLOOR)
     besides = tuple(y2 - y - stiffness * (x2 - x) for y2, y, x2, x in zip(Y2, Y, X2, X, strict=True))
     rest = state.rest + constants.averaging * (_power(besides) - state.rest)
     heard = state.heard + constants.averaging * (state.listening - state.heard)
     # Renormalised, since a rotation of floats would shrink or grow over hours.
     length = 1.5 - 0.5 * _power(wave)
     ratio = 1.5 * (rest + FORCE_FLOOR) / (heard * _power(Y) + FORCE_FLOOR)
-    return state._replace(
+    state = state._replace(
         wave=(length * wave[0], length * wave[1]),
         last=(force, tip),
         force=heard_force,
@@ -226,7 +234,8 @@ def _listen(
         rest=rest,
         heard=heard,
         width=ops.minimum(constants.confidence * ops.sqrt(ratio), UNHEARD),
-    ), stiffness
+    )
+    return state, stiffness, ahead / (abs(in_phase) + _LEAD_FLOOR)
 
 
 def _watch(constants: StiffnessIdentification, state: StiffnessEstimate, force: Scalar) -> StiffnessEstimate:
@@ -246,6 +255,7 @@ def _decide(
     constants: StiffnessIdentification,
     state: StiffnessEstimate,
     stiffness: Scalar,
+    lead: Scalar,
     backed_off: Scalar,
     elsewhere: Scalar,
     ops: Ops,
@@ -255,7 +265,8 @@ def _decide(
     known = ops.exp(state.log_stiffness)
     miss = stiffness / known - 1.0
     full = ops.clip(10.0 * (state.heard - 0.8), 0.0, 1.0)
-    sure = full * ops.clip(2.0 - 2.0 * state.width / band, 0.0, 1.0)
+    elastic = ops.clip((VISCOUS - lead) / (VISCOUS - ELASTIC), 0.0, 1.0)
+    sure = full * elastic * ops.clip(2.0 - 2.0 * state.width / band, 0.0, 1.0)
     log_stiffness = state.log_stiffness + FOLLOWING * T_s * sure * ops.clip(miss, -0.5, 0.5)
 
     quietest = (state.usual + INAUDIBLE * state.learned + FORCE_FLOOR) / (state.learned + FORCE_FLOOR)

@@ -96,9 +96,10 @@ def test_the_lock_in_is_what_scipy_makes_of_the_same_signals(gains, fly) -> None
     state = identification.init(constants, flown.force[0])
     for k, (force, tip) in enumerate(zip(flown.force, flown.tip, strict=True)):
         state = state._replace(listening=flown.listening[k - 1] if k else 0.0)
-        state, found = identification._listen(constants, state, force, tip, FLOATS)
+        state, found, lead = identification._listen(constants, state, force, tip, FLOATS)
     assert found == pytest.approx(expected[-1], rel=1e-9)
     assert found == pytest.approx(810.0, rel=0.02)
+    assert lead == pytest.approx((Y * X.conj())[-1].imag / (Y * X.conj())[-1].real, rel=1e-6)
 
 
 def test_the_answer_to_the_sine_is_told_apart_from_the_rest_of_the_force(gains) -> None:
@@ -108,7 +109,7 @@ def test_the_answer_to_the_sine_is_told_apart_from_the_rest_of_the_force(gains) 
     for k in range(8000):
         force = -5.0 + 0.2 * np.sin(angle * k + 0.7)
         state = state._replace(listening=1.0)
-        state, _ = identification._listen(constants, state, force, 0.0, FLOATS)
+        state, *_ = identification._listen(constants, state, force, 0.0, FLOATS)
         left.append(force - identification.answer(constants, state))
     # Sixteen time constants of a triple pole leave 1e-4 of what the step at the start left in the filters.
     np.testing.assert_allclose(left[-1000:], -5.0, atol=1e-3)
@@ -139,12 +140,13 @@ def test_a_tissue_that_stiffens_slowly_is_noticed_before_the_loop_is_unstable(fl
 
 def test_a_second_change_is_heard_as_the_first(fly) -> None:
     def twice(t: float) -> float:
-        first, second = (min(max(5.0 * (t - begin), 0.0), 1.0) for begin in (9.0, 17.0))
+        first, second = (min(max(5.0 * (t - begin), 0.0), 1.0) for begin in (6.0, 17.0))
         return 400.0 + 500.0 * first + 1100.0 * second
 
     flown = fly(twice, 25.0)
     assert np.max(np.abs(flown.error[4000:])) < 1.0
-    assert np.max(flown.listening[9000:10_000]) > 0.5
+    assert flown.stiffness[16_000] == pytest.approx(900.0, rel=0.05)
+    assert np.max(flown.listening[6000:7000]) > 0.5
     assert np.min(flown.authority[17_000:17_500]) == 0.0
     assert flown.stiffness[-1] == pytest.approx(2000.0, rel=0.05)
 
@@ -161,6 +163,24 @@ def test_a_tissue_that_stays_is_not_doubted(fly) -> None:
     assert np.all(flown.listening[6000:] == 0.0)
 
 
+def test_tissue_that_damps_is_left_to_the_fixed_gains(gains) -> None:
+    """Of 810 N/m with 2.5 N s/m: at 17 Hz the force leads by 0.33; known well, it still is no spring."""
+    constants, omega = gains.schedule.identification, 2.0 * np.pi * 17.0
+
+    def authority_after(viscosity: float) -> float:
+        state, narrowest = identification.init(constants, 0.0), identification.UNHEARD
+        for k in range(8000):
+            tip = 1e-4 * np.sin(omega * k * T_s)
+            force = 810.0 * tip + viscosity * 1e-4 * omega * np.cos(omega * k * T_s)
+            state = identification.step(constants, state, force, tip, 0.0, 0.0, 0.0, FLOATS)
+            narrowest = min(narrowest, state.width)
+        assert narrowest < 0.5 * constants.band
+        return float(state.authority)
+
+    assert authority_after(0.0) == 1.0
+    assert authority_after(2.5) == 0.0
+
+
 def test_where_nothing_can_be_heard_the_fixed_gains_hold(gains, fly) -> None:
     """A sine of 2 mN drowns: the width stays large, and K̂ and the authority where they were."""
     family = gains.schedule
@@ -171,16 +191,16 @@ def test_where_nothing_can_be_heard_the_fixed_gains_hold(gains, fly) -> None:
 
 
 def test_a_sine_that_finds_nothing_goes_off_and_tries_again(gains, fly) -> None:
-    """Fifteen seconds' worth, forgotten to 0.6 with a time constant of 60 s: then it is on for some 7 s in 40."""
+    """Twelve seconds' worth, forgotten to 0.6 with a time constant of 60 s: then it is on for some 6 s in 40."""
     family = gains.schedule
     quiet = family._replace(identification=family.identification._replace(amplitude=0.002))
     flown = fly(lambda t: 810.0, 24.0, gains._replace(schedule=quiet))
-    assert np.all(flown.listening[1000:14_000] == 1.0)
-    assert np.all(flown.listening[19_000:] == 0.0)
+    assert np.all(flown.listening[1000:11_000] == 1.0)
+    assert np.all(flown.listening[15_000:] == 0.0)
 
     constants, state, sounding = family.identification, identification.init(family.identification, 0.0), []
     for _ in range(180_000):
-        state = identification._decide(constants, state, 1.0, 0.0, 0.0, FLOATS)
+        state = identification._decide(constants, state, 1.0, 0.0, 0.0, 0.0, FLOATS)
         sounding.append(state.listening)
     heard = np.array(sounding[40_000:])
     assert 0.1 < np.mean(heard) < 0.25
@@ -193,14 +213,14 @@ def test_a_schedule_under_which_a_guard_took_gain_back_is_trusted_again_within_m
     constants = gains.schedule.identification
     state = identification.init(constants, 0.0)._replace(authority=1.0)
     for _ in range(2000):
-        state = identification._decide(constants, state, 810.0, 0.5, 0.0, FLOATS)
+        state = identification._decide(constants, state, 810.0, 0.0, 0.5, 0.0, FLOATS)
     assert state.authority == 0.0
     assert 0.2 < state.trust < 0.5
     # Known all the time: it never has more than it is trusted with.
     least = state.trust
     for _ in range(100_000):
         state = state._replace(width=0.0, heard=1.0, log_stiffness=np.log(810.0))
-        state = identification._decide(constants, state, 810.0, 0.0, 0.0, FLOATS)
+        state = identification._decide(constants, state, 810.0, 0.0, 0.0, 0.0, FLOATS)
         assert state.authority <= state.trust
     assert state.trust == pytest.approx(1.0 - (1.0 - least) * np.exp(-100.0 / 150.0), rel=1e-3)
-    assert state.authority == state.trust
+    assert state.authority == pytest.approx(state.trust, rel=1e-4)
