@@ -115,6 +115,7 @@ class Bus:
             timeout_s: How long to wait for it [s]; 0 takes what is there already.
         """
         before = self.now()
+        timeout_s = max(timeout_s, 0.0)  # a deadline that has passed: drivers take a negative wait for an error
         deadline, left, overdue = before + int(timeout_s * 1e9), timeout_s, 0
         while True:
             message = self._take(left)

@@ -119,10 +119,12 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     from deploy.loop.operator import Console, Operator
     from deploy.loop.realtime import MonotonicClock, prepared
     from deploy.loop.session import Session
+    from deploy.loop.signals import Signals
     from deploy.loop.watchdog import Watchdog, bus_flags
     from deploy.safety.machine import OperatingState, SafetyState
     from deploy.safety.reasons import Reason
 
+    signals = stack.enter_context(Signals())
     clock: Any
     changes: dict[str, Any] = {}
     if args.lockstep:
@@ -151,11 +153,13 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     if not auto:
         print("Enter lets the approach begin" if keys else "the approach begins once the arm is active")
     console = Console()
-    operator = Operator(console, lambda: session.controller.contact_time, args.duration, auto or not keys, keys)
+    ready = auto or not keys
+    operator = Operator(console, signals, lambda: session.controller.contact_time, args.duration, ready, keys)
     each: Callable[[Any], Any] = operator.each
     told: Callable[[], list[str]] = list
     if args.lockstep:
         each, told = _watched(clock.twin, session.controller, operator.each)
+    signals.begin()
     try:
         ended = session.run(operator.command, watchdog, each)
     except BaseException:

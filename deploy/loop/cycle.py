@@ -45,6 +45,8 @@ class OperatorCommand(NamedTuple):
     armed: bool = False
     start: bool = False
     finish: Reason = Reason.NONE
+    abort: bool = False
+    """Let go at once, wherever the arm is."""
 
 
 class CycleResult(NamedTuple):

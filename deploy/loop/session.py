@@ -203,7 +203,9 @@ def _tare(arm: WamArm, clock: Clock, T_s: float) -> None:
         deadline = clock.now() + period
         for frame in arm.sensor.request():
             arm.bus.send(frame)
-        while not arm.sensor.ready and (got := arm.bus.receive((deadline - clock.now()) * 1e-9)) is not None:
+        while not arm.sensor.ready and (left := deadline - clock.now()) > 0:
+            if (got := arm.bus.receive(left * 1e-9)) is None:
+                break
             arm.sensor.feed(got[0])
         if (wrench := arm.sensor.read()) is not None:
             taken.append(wrench)
