@@ -15,6 +15,7 @@ from deploy.controller.artifact import Artifact
 from deploy.controller.runtimes import arm_runtime
 from deploy.errors import CalibrationError
 from deploy.flight.recorder import FlightRecorder
+from deploy.flight.recording_file import RecordingFile, Saved
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import IDENTITY, ForceSensor, Mounted, mean_force
 from deploy.loop.control import Contacting, TaskController
@@ -145,6 +146,21 @@ class Session:
         self.statistics = loop.statistics
         return loop.run(command)
 
+    def save(self, file: RecordingFile, digest: str, safety_state: SafetyState) -> Saved:
+        """Write the flight recording into its file, and say what became of it; it never raises.
+
+        Args:
+            file: Opened before the arm moved.
+            digest: sha256 of the controller.
+            safety_state: State in which the run ended.
+        """
+        try:
+            data = self.recorder.sealed(self._header(digest, safety_state))
+        except (TypeError, ValueError, MemoryError) as error:
+            return Saved(False, f"flight recording: LOST, for it could not be sealed: {error}")
+        saved = file.save(data)
+        return Saved(saved.ok, f"flight recording: {len(self.recorder)} samples in {saved.sentence}")
+
     def write(self, path: Path, digest: str, safety_state: SafetyState) -> str:
         """Write the flight recording; a sentence on what became of it.
 
@@ -153,7 +169,10 @@ class Session:
             digest: sha256 of the controller.
             safety_state: State in which the run ended.
         """
-        header = {
+        return self.recorder.write(path, self._header(digest, safety_state))
+
+    def _header(self, digest: str, safety_state: SafetyState) -> dict[str, Any]:
+        return {
             "artifact": digest,
             "reason": str(safety_state.reason),
             "detail": safety_state.detail,
@@ -164,7 +183,6 @@ class Session:
                 "clamped": list(Clamp._fields),
             },
         }
-        return self.recorder.write(path, header)
 
     def notes(self) -> list[str]:
         """Notes on what was counted besides cycles."""
