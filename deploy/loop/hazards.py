@@ -86,6 +86,8 @@ class Hazards:
 
     def _of_bus(self) -> tuple[Reason, str]:
         bus = self._arm.bus
+        if bus.state == "down":
+            return Reason.BUS_OFF, bus.remedy
         if bus.state != "active":
             return Reason.BUS_OFF if bus.state == "off" else Reason.BUS_ERROR, ""
         foreign = bus.counters.foreign

@@ -13,7 +13,7 @@ from typing import Any
 from deploy.bus.bus import Bus
 from deploy.controller.artifact import Artifact
 from deploy.controller.runtimes import arm_runtime
-from deploy.errors import CalibrationError
+from deploy.errors import BusError, CalibrationError
 from deploy.flight.recorder import FlightRecorder
 from deploy.flight.recording_file import RecordingFile, Saved
 from deploy.force.can_sensor import CanSensor
@@ -27,7 +27,7 @@ from deploy.safety.clamp import Clamp
 from deploy.safety.machine import SafetyState
 from deploy.wam.arm import WamArm
 from deploy.wam.dialogue import Clock
-from deploy.wam.startup import startup
+from deploy.wam.startup import OTHERS, startup
 from deploy.wam.tip_pose import tip_kinematics
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.scalar import Matrix
@@ -140,7 +140,15 @@ class Session:
             command: First command of the operator.
             watchdog: Standing by; None only where time is simulated.
             each: Takes the result of every cycle, returns the operator's next command.
+
+        Raises:
+            BusError: Somebody else has begun to command while the operator was waited for; nothing was sent.
         """
+        bus = self.arm.bus
+        hosts = bus.counters.hosts
+        bus.flush()
+        if bus.counters.hosts > hosts:
+            raise BusError(f"{OTHERS}; nothing was sent")
         period = round(1e9 * self.artifact.T_s)
         loop = Loop(self.cycle, self._clock, period, self.recorder, watchdog, each, self._options.log)
         self.statistics = loop.statistics
@@ -189,6 +197,7 @@ class Session:
         arm, counters = self.arm, self.arm.bus.counters
         bus = f"bus: {counters.sent} frames sent, {counters.received} received, {counters.foreign} foreign"
         bus += f", {counters.malformed + arm.malformed} malformed, {counters.send_errors} refused"
+        bus += f", {arm.bus.count_dropped()} dropped unread"
         lost = f"positions: {arm.late} late, {arm.duplicates} twice, {arm.doubtful} doubtful, {arm.jumps} jumps"
         return [bus, lost, *self.controller.notes()]
 
