@@ -74,7 +74,8 @@ class Bus:
         self.counters = Counters()
         self.now = now
         self.dry = True
-        self.name = str(getattr(bus, "channel", "") or "can0")
+        channel = getattr(bus, "channel", None)
+        self.name = channel if isinstance(channel, str) and channel else "can0"
         self._bus = bus
         self._state: BusState = "active"
         self._socket = receive_buffer.socket_of(bus)
@@ -246,6 +247,15 @@ def open_bus(arguments: argparse.Namespace, now: Callable[[], int] = time.monoto
     """The bus that python-can's flags name.
 
     Raises:
+        BusError: As `open_interface`.
+    """
+    return Bus(open_interface(arguments), now)
+
+
+def open_interface(arguments: argparse.Namespace) -> can.BusABC:
+    """The bus of python-can that its flags name.
+
+    Raises:
         BusError: It cannot be opened, or the flags ask for what the arm does not speak.
     """
     channel = str(getattr(arguments, "channel", ""))
@@ -257,7 +267,7 @@ def open_bus(arguments: argparse.Namespace, now: Callable[[], int] = time.monoto
     if bitrate != 1_000_000:
         raise BusError(f"the pucks speak 1 Mbit/s, not {bitrate} bit/s: use --bitrate 1000000")
     try:
-        return Bus(create_bus_from_namespace(arguments), now)
+        return create_bus_from_namespace(arguments)
     except argparse.ArgumentError as error:
         why = error.__cause__ or error
         name = " ".join(f"{getattr(arguments, key, '')}" for key in ("interface", "channel")).strip()
