@@ -120,12 +120,12 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     from deploy.loop.operator import Console, Operator
     from deploy.loop.realtime import MonotonicClock, prepared
     from deploy.loop.session import Session
-    from deploy.loop.signals import Signals
+    from deploy.loop.signals import EndingSignals
     from deploy.loop.watchdog import Watchdog, bus_flags
     from deploy.safety.machine import OperatingState, SafetyState
     from deploy.safety.reasons import Reason
 
-    signals = stack.enter_context(Signals())
+    signals = stack.enter_context(EndingSignals())
     # Before anything else is touched: what cannot be recorded is not flown.
     file = RecordingFile(args.output, FlightRecorder.largest(args.recorded, 1.0 / artifact.T_s))
     stack.callback(file.close)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TextIO
 
 from deploy.loop.cycle import CycleResult, OperatorCommand
-from deploy.loop.signals import Signals
+from deploy.loop.signals import EndingSignals
 from deploy.safety.machine import OperatingState, Task
 from deploy.safety.reasons import EXPLANATION, Reason
 
@@ -64,7 +64,7 @@ class Operator:
     def __init__(
         self,
         console: Console,
-        signals: Signals,
+        signals: EndingSignals,
         contact_time: Callable[[], float],
         duration: float,
         start: bool,

@@ -13,7 +13,7 @@ GRACE = 1.0
 ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
-class Signals:
+class EndingSignals:
     """Counts signals that ask for the end, while it is entered.
 
     Attributes:
@@ -30,7 +30,7 @@ class Signals:
         """The loop begins: from now on the first signal asks it to end; until now it ends the program at once."""
         self._flying = True
 
-    def __enter__(self) -> "Signals":
+    def __enter__(self) -> "EndingSignals":
         for number in ENDING:
             self._before[number] = signal.signal(number, self._heard)
         return self

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from deploy.loop.signals import GRACE, Signals
+from deploy.loop.signals import GRACE, EndingSignals
 
 HANGS = {
     "sleeps": "while True:\n    time.sleep(10.0)",
@@ -17,8 +17,8 @@ HANGS = {
 }
 PROGRAM = """
 import threading, time
-from deploy.loop.signals import Signals
-with Signals() as signals:
+from deploy.loop.signals import EndingSignals
+with EndingSignals() as signals:
     signals.begin()
     print("up", flush=True)
 """
@@ -50,13 +50,13 @@ def test_the_second_signal_ends_a_process_that_hangs(hang, second):
 
 
 def test_before_the_loop_the_first_signal_ends_the_program():
-    with pytest.raises(KeyboardInterrupt), Signals():
+    with pytest.raises(KeyboardInterrupt), EndingSignals():
         signal.raise_signal(signal.SIGTERM)
 
 
 def test_in_the_loop_signals_are_counted_and_afterwards_all_is_as_before():
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
-    with Signals() as signals:
+    with EndingSignals() as signals:
         signals.begin()
         signal.raise_signal(signal.SIGINT)
         assert signals.count == 1
