@@ -12,7 +12,7 @@ from typing import Any
 
 from deploy.bus.bus import Bus
 from deploy.controller.artifact import Artifact
-from deploy.controller.runtimes import arm_runtime
+from deploy.controller.runtimes import arm_runtime, flown_controller
 from deploy.errors import BusError, CalibrationError
 from deploy.flight.recorder import FlightRecorder
 from deploy.flight.recording_file import RecordingFile, Saved
@@ -24,6 +24,7 @@ from deploy.loop.loop import REASONS, STATES, Loop, RunResult, Watching
 from deploy.loop.statistics import Statistics
 from deploy.reference.sources import Source
 from deploy.safety.clamp import Clamp
+from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import SafetyState
 from deploy.wam.arm import WamArm
 from deploy.wam.dialogue import Clock
@@ -127,6 +128,7 @@ class Session:
             tip_kinematics(model.chain),
             options.turns,
             options.hook,
+            ForceEstimate(model, flown_controller(artifact)[0].measurement),
         )
         self.recorder = FlightRecorder(seconds=options.seconds, rate=1.0 / artifact.T_s)
         self.statistics = Statistics(round(1e9 * artifact.T_s))
