@@ -92,6 +92,7 @@ class TaskController:
         if task is Task.CONTROL:
             if entered:
                 self._enter(force or NONE, q)
+                self._start = tip
             return self._control(q, qd, force)
         if task is Task.OFF:
             return (0.0, 0.0, 0.0, 0.0)
@@ -118,6 +119,10 @@ class TaskController:
             far = self.contacting.retract_distance
             return gone >= far or asked >= 2.0 * far
         return False
+
+    def depth(self, tip: Vector3) -> float:
+        """How far the tip has gone down since contact was made [m]; 0 without contact."""
+        return -self.along(self._start, tip) if self._task is Task.CONTROL else 0.0
 
     def along(self, start: Vector3, end: Vector3) -> float:
         """Distance from one point to another along the contact normal [m]."""

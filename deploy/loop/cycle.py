@@ -7,7 +7,7 @@ machine takes it, and the cycle ends with the frame of the task that is then all
 """
 
 from collections.abc import Callable
-from math import dist, isfinite
+from math import dist, inf, isfinite
 from typing import NamedTuple
 
 from deploy.controller.limits import Limits
@@ -83,6 +83,7 @@ class Cycle:
         turns: bool = True,
         hook: Callable[[Vector3], Vector3] | None = None,
         estimate: ForceEstimate | None = None,
+        deepest: float = inf,
     ) -> None:
         """Assemble the cycle before motion.
 
@@ -96,6 +97,7 @@ class Cycle:
             turns: Whether the force sensor turns with the tool; else it keeps its direction in the world.
             hook: What becomes of a measured force on its way, to inject faults that no CAN frame can hold.
             estimate: The force as the motors tell it; None leaves the sensor's scale and sign unchecked.
+            deepest: Travel in contact beyond which the softest promised tissue gives more than the limit [m].
 
         Raises:
             InputError: The pucks, or the limits, are not fit for this.
@@ -109,7 +111,7 @@ class Cycle:
         self._bridge = EncoderBridge(arm.counts)
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
-        self._estimate, self._balance = estimate, BalanceState()
+        self._estimate, self._balance, self._deepest = estimate, BalanceState(), deepest
         self._age, self._hazards = [0] * 4, Hazards(arm, T_s)
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
@@ -131,6 +133,8 @@ class Cycle:
         unbalanced = self._weighed(q, qd, force, age, timing.missed)
         if doubt is Reason.NONE:
             doubt = unbalanced
+        if doubt is Reason.NONE and self.controller.depth(kinematics.tip) > self._deepest:
+            doubt = Reason.FORCE_MODEL
         hazard, detail = self._hazards.judge(reading, timing, min(self._age))
         if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._hazards.lately):
             danger = Reason.LATE

@@ -37,6 +37,8 @@ NEAR = 0.3
 """Farthest that a joint may be from the controller's posture at the start [rad]: its margins hold there."""
 WANTED = 0.8
 """Largest wanted force over the limit of the measured one [-]."""
+HEART = 0.025
+"""Way of heart and lungs together, from top to bottom [m]; those of the twin have 14 mm."""
 TARING = 1.3
 """Patience for the sensor's own tare [s], which takes about one."""
 CHECKED = 200
@@ -129,6 +131,7 @@ class Session:
             options.turns,
             options.hook,
             ForceEstimate(model, flown_controller(artifact)[0].measurement),
+            deepest(artifact),
         )
         self.recorder = FlightRecorder(seconds=options.seconds, rate=1.0 / artifact.T_s)
         self.statistics = Statistics(round(1e9 * artifact.T_s))
@@ -208,6 +211,12 @@ def largest_wanted(artifact: Artifact) -> float:
     """Largest force that may be wanted [N]: what is measured must have room to sway below its limit."""
     assert artifact.arm is not None
     return WANTED * artifact.arm.limits.force
+
+
+def deepest(artifact: Artifact) -> float:
+    """How far the tip may go down in contact [m]: the softest promised tissue at the limit, and a heart's way."""
+    assert artifact.arm is not None
+    return artifact.arm.limits.force / min(row["stiffness"] for row in artifact.margins) + HEART
 
 
 def _standing(arm: WamArm, posture: Any) -> None:

@@ -83,3 +83,18 @@ def test_a_tissue_that_is_met_before_the_air_is_known(cautious, monkeypatch):
     assert fly(cautious, (), 1900.0, "fung", -5.0).reason is Reason.FINISHED
     found = fly(cautious, ("force:unit=0.2@0.15",), 1900.0, "fung", -5.0)
     check(found)
+
+
+def test_travel_times_the_promised_stiffness_bounds_what_the_motors_were_not_asked(cautious, monkeypatch):
+    """On the softest promised tissue; without the motors' word, and with a sensor that reads a tenth of the force."""
+    monkeypatch.setattr(session, "ForceEstimate", lambda *arguments: None)
+    draw = np.random.default_rng(3)
+    monkeypatch.setattr(Twin, "force_hook", lambda self, y: tuple(0.1 * f + draw.normal(0.0, 0.02) for f in y))
+    bound = session.deepest(cautious)
+    assert LIMIT / 375.0 < bound < LIMIT / 375.0 + 0.03
+    found = fly(cautious, (), 375.0, "elastic", -5.0)
+    assert found.reason is Reason.FORCE_MODEL
+    assert found.push < 375.0 * (bound + 0.02)
+    monkeypatch.setattr(session, "deepest", lambda artifact: 1.0)
+    worse = fly(cautious, (), 375.0, "elastic", -5.0)
+    assert worse.push > found.push + 3.0
