@@ -216,7 +216,7 @@ def largest_wanted(artifact: Artifact) -> float:
 def deepest(artifact: Artifact) -> float:
     """How far the tip may go down in contact [m]: the softest promised tissue at the limit, and a heart's way."""
     assert artifact.arm is not None
-    return artifact.arm.limits.force / min(row["stiffness"] for row in artifact.margins) + HEART
+    return float(artifact.arm.limits.force / min(row["stiffness"] for row in artifact.margins) + HEART)
 
 
 def _standing(arm: WamArm, posture: Any) -> None:
