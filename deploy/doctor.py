@@ -201,8 +201,7 @@ def _ask(opened: Bus, sensor: bool) -> list[Finding]:
     nodes = (*PUCKS, SENSOR, SAFETY_MODULE)
     states = {node: state for node in nodes if (state := _property(opened, node, STAT)) is not None}
     if opened.state != "active":
-        text = "bus: frames could not be sent: check power, bit rate, termination and that the interface is up"
-        return [Finding("wrong", text)]
+        return [Finding("wrong", f"bus: frames could not be sent (it is {opened.state}): {opened.remedy}")]
     if not states:
         text = "bus: open, but nobody answers: check power, e-stop, bit rate (1 Mbit/s) and termination"
         return [Finding("wrong", text)]

@@ -1,28 +1,27 @@
 """The bus: python-can in, frames out; whatever is none of ours is dropped and counted, and nothing is retried."""
 
 import argparse
+import errno
 import re
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import can
 from can.cli import add_bus_arguments, create_bus_from_namespace
 
+from deploy.bus import receive_buffer
+from deploy.bus.error_frames import BusState, graver, state_of
 from deploy.errors import BusError
 from deploy.puck.codec import HOST, PUCKS, SAFETY_MODULE, SENSOR
 from deploy.puck.frame import Frame
-
-BusState = Literal["active", "error", "off"]
 
 MOST_AT_ONCE: Final = 64
 """Frames that are read when the time is up: a bus on which somebody babbles never runs dry. A millisecond holds 18."""
 SENDS_AFTER_ERROR: Final = 4
 """Frames that are still tried in any second after an error: enough to lower the arm's state, no retrying."""
 SECOND: Final = 1_000_000_000
-# bits of an error frame's identifier, as Linux has them (linux/can/error.h)
-ERROR_CONTROLLER, ERROR_BUS_OFF = 0x04, 0x40
 
 
 @dataclass(slots=True)
@@ -38,6 +37,7 @@ class Counters:
         send_errors: Refused by the driver.
         receive_errors: Attempts to read that failed.
         held: Not even tried, because an error had happened before.
+        dropped: By the kernel, because they were not read in time; counted by `count_dropped`.
     """
 
     sent: int = 0
@@ -48,13 +48,14 @@ class Counters:
     send_errors: int = 0
     receive_errors: int = 0
     held: int = 0
+    dropped: int = 0
 
 
 class Bus:
     """A CAN bus with frames of pucks on it; after `__init__` no method raises.
 
-    An error stays: `state` is "active" until the first one, and then never again, because who drives an arm
-    must not go on by itself. From then on at most `SENDS_AFTER_ERROR` frames a second are tried.
+    An error stays: `state` is "active" until the first one, and then never again but by `recover`, because who drives
+    an arm must not go on by itself. From then on at most `SENDS_AFTER_ERROR` frames a second are tried.
     """
 
     def __init__(
@@ -73,7 +74,12 @@ class Bus:
         self.counters = Counters()
         self.now = now
         self.dry = True
-        self._bus, self._state = bus, "active"
+        channel = getattr(bus, "channel", None)
+        self.name = channel if isinstance(channel, str) and channel else "can0"
+        self._bus = bus
+        self._state: BusState = "active"
+        self._socket = receive_buffer.socket_of(bus)
+        self.buffer = receive_buffer.enlarge(self._socket) if self._socket is not None else 0
         self._attempts = [-SECOND] * SENDS_AFTER_ERROR
         self.listen_to(nodes)
         # `recv` of python-can measures its timeout on the wall clock: set back by an hour, it waits that hour.
@@ -86,10 +92,28 @@ class Bus:
 
     @property
     def state(self) -> BusState:
-        """Whether it can be relied on; "off" is bus-off or a lost interface."""
+        """What can be relied on; "down" is a network interface that is down, "off" bus-off or no interface."""
         if self._state == "active" and self._bus.state is not can.BusState.ACTIVE:
             self._fail("off" if self._bus.state is can.BusState.ERROR else "error")
-        return self._state  # type: ignore[return-value]  # only the three words are ever assigned
+        return self._state
+
+    @property
+    def remedy(self) -> str:
+        """What to do about the state."""
+        if self.state == "down":
+            return f"the interface is down (Network is down): `ip link set {self.name} up`"
+        return "check that the arm is powered, the cable and its 120 Ω terminators, and 1 Mbit/s at the adapter"
+
+    def recover(self, probe: Frame) -> bool:
+        """Return to active after the interface was down, if a frame can be sent; only while nothing may move.
+
+        Args:
+            probe: That frame; a question.
+        """
+        if self._state == "down":
+            self._state, self._attempts = "active", [-SECOND] * SENDS_AFTER_ERROR
+            self.send(probe)
+        return self.state == "active"
 
     def send(self, frame: Frame) -> bool:
         """Hand a frame to the driver; False if it was refused or, after an error, not even tried."""
@@ -99,11 +123,11 @@ class Bus:
         message = can.Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data)
         try:
             self._bus.send(message, timeout=0.0)
-        except (can.CanError, OSError, ValueError):
+        except (can.CanError, OSError, ValueError) as error:
             self.counters.send_errors += 1
             if self._state == "active":
                 self._may_try()
-            self._fail("error")
+            self._fail(_meaning(error, "error"))
             return False
         self.counters.sent += 1
         return True
@@ -115,13 +139,14 @@ class Bus:
             timeout_s: How long to wait for it [s]; 0 takes what is there already.
         """
         before = self.now()
+        timeout_s = max(timeout_s, 0.0)  # a deadline that has passed: drivers take a negative wait for an error
         deadline, left, overdue = before + int(timeout_s * 1e9), timeout_s, 0
         while True:
             message = self._take(left)
             stamp = self.now()
             if message is None:
                 # a simulated clock stands still: nothing comes by waiting
-                if stamp >= deadline or stamp == before or self._state == "off":
+                if stamp >= deadline or stamp == before or self._state in ("off", "down"):
                     return None
             elif self._belongs(message):
                 return Frame(message.arbitration_id, bytes(message.data)), stamp
@@ -153,6 +178,12 @@ class Bus:
             self._belongs(message)
         return self.counters.received - before
 
+    def count_dropped(self) -> int:
+        """Ask the kernel how many frames it dropped since the bus was opened; 0 where it does not tell."""
+        if self._socket is not None and (found := receive_buffer.dropped(self._socket)) is not None:
+            self.counters.dropped = found
+        return self.counters.dropped
+
     def close(self) -> None:
         """Give the interface back."""
         try:
@@ -163,9 +194,9 @@ class Bus:
     def _take(self, timeout_s: float) -> can.Message | None:
         try:
             return self._read(timeout_s)
-        except (can.CanError, OSError, ValueError):
+        except (can.CanError, OSError, ValueError) as error:
             self.counters.receive_errors += 1
-            self._fail("off")
+            self._fail(_meaning(error, "off"))
             return None
 
     def _read_internal(self, timeout_s: float) -> can.Message | None:
@@ -174,11 +205,7 @@ class Bus:
     def _belongs(self, message: can.Message) -> bool:
         if message.is_error_frame:
             self.counters.malformed += 1
-            if message.arbitration_id & ERROR_BUS_OFF:
-                self._fail("off")
-            # overruns and warnings are the low four bits of the second byte; above them it is error-passive
-            elif message.arbitration_id & ERROR_CONTROLLER and bytes(message.data[1:2]) > b"\x0f":
-                self._fail("error")
+            self._fail(state_of(message.arbitration_id, bytes(message.data)))
             return False
         if message.is_extended_id or message.is_remote_frame or message.is_fd or len(message.data) > 8:
             self.counters.malformed += 1
@@ -200,8 +227,15 @@ class Bus:
         return True
 
     def _fail(self, state: BusState) -> None:
-        if self._state != "off":
-            self._state = state
+        self._state = graver(self._state, state)
+
+
+def _meaning(error: Exception, usual: BusState) -> BusState:
+    """The state that a driver's error means; most tell the system's number of it."""
+    number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+    if number == errno.ENETDOWN:
+        return "down"
+    return "off" if number in (errno.ENODEV, errno.ENXIO) else usual
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -211,6 +245,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def open_bus(arguments: argparse.Namespace, now: Callable[[], int] = time.monotonic_ns) -> Bus:
     """The bus that python-can's flags name.
+
+    Raises:
+        BusError: As `open_interface`.
+    """
+    return Bus(open_interface(arguments), now)
+
+
+def open_interface(arguments: argparse.Namespace) -> can.BusABC:
+    """The bus of python-can that its flags name.
 
     Raises:
         BusError: It cannot be opened, or the flags ask for what the arm does not speak.
@@ -224,7 +267,7 @@ def open_bus(arguments: argparse.Namespace, now: Callable[[], int] = time.monoto
     if bitrate != 1_000_000:
         raise BusError(f"the pucks speak 1 Mbit/s, not {bitrate} bit/s: use --bitrate 1000000")
     try:
-        return Bus(create_bus_from_namespace(arguments), now)
+        return create_bus_from_namespace(arguments)
     except argparse.ArgumentError as error:
         why = error.__cause__ or error
         name = " ".join(f"{getattr(arguments, key, '')}" for key in ("interface", "channel")).strip()

@@ -59,6 +59,11 @@ class BusLog:
         else:
             self.dropped += 1
 
+    @property
+    def complete(self) -> bool:
+        """Whether all frames up to now were written, or still wait."""
+        return not (self._failed or self.dropped)
+
     def close(self) -> str:
         """Write what waits, for at most 5 s, and say what became of the log."""
         self._closing.set()
@@ -66,6 +71,8 @@ class BusLog:
         waiting = len(self._queue)
         failed = self._failed or ("the disk does not answer" if self._thread.is_alive() else "")
         lost = self.dropped + waiting
+        if failed:
+            self._failed = failed
         text = f"bus log: {self.written} frames in {self.path}, {lost} dropped"
         return f"{text}; writing failed: {failed}" if failed else text
 

@@ -22,13 +22,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check an artifact and print what it is; 1 if it is refused.
+    """Check an artifact and print what it is; 1 if it is refused, or its margins are not those of its gains.
 
     Raises:
         InputError: There is no such file.
     """
     from deploy.controller.file import ArtifactError, load
     from deploy.controller.golden import TOLERANCE, check_golden
+    from deploy.controller.recomputed_margins import differences
     from jaxmpc.quantities import MARGINS
 
     path: Path = args.artifact
@@ -75,7 +76,14 @@ def run(args: argparse.Namespace) -> int:
     print(f"deviation {check_golden(artifact):.1e} of the largest command (limit {TOLERANCE:g}{torques})")
     took, what = _times(artifact), "tick of the arm, without the bus" if artifact.arm else "step of three axes"
     print(f"  one {what}: median {took[50]:.1f} µs, 99 % within {took[99]:.1f} µs")
-    return 0
+    found = differences(artifact)
+    known = "" if artifact.family is None else " (those with K̂ known were not)"
+    print(f"  margins computed again from the gains{known}: {'they DIFFER' if found else 'the same'}")
+    for each in found:
+        print(f"    {each}")
+    if found:
+        print(f"jaxmpc check: {path}: its margins are not those of its gains: freeze it again", file=sys.stderr)
+    return 1 if found else 0
 
 
 def _loop(artifact: "Artifact") -> str:

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import count
 from math import cos, isfinite, radians, sin
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -116,13 +115,20 @@ def run(args: argparse.Namespace) -> int:
 def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: ExitStack) -> int:
     from deploy.bus.bus import Bus, open_bus
     from deploy.bus.candump import BusLog
+    from deploy.flight.recorder import FlightRecorder
+    from deploy.flight.recording_file import RecordingFile
     from deploy.loop.operator import Console, Operator
     from deploy.loop.realtime import MonotonicClock, prepared
     from deploy.loop.session import Session
+    from deploy.loop.signals import EndingSignals
     from deploy.loop.watchdog import Watchdog, bus_flags
     from deploy.safety.machine import OperatingState, SafetyState
     from deploy.safety.reasons import Reason
 
+    signals = stack.enter_context(EndingSignals())
+    # Before anything else is touched: what cannot be recorded is not flown.
+    file = RecordingFile(args.output, FlightRecorder.largest(args.recorded, 1.0 / artifact.T_s))
+    stack.callback(file.close)
     clock: Any
     changes: dict[str, Any] = {}
     if args.lockstep:
@@ -138,9 +144,14 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
         clock, bus = MonotonicClock(), open_bus(args)
         watchdog = stack.enter_context(Watchdog(bus_flags(args)))
     stack.callback(bus.close)
+    log = None
     if args.bus_log is not None:
-        log = BusLog(args.bus_log)
-        stack.callback(lambda: print(log.close()))
+        try:
+            log = BusLog(args.bus_log)
+        except OSError as error:
+            bound = f"a file that can be written ({error.strerror})"
+            raise InputError("--bus-log", args.bus_log, bound, "Choose another one.") from None
+        stack.callback(log.close)
         changes["log"] = log.add
     session = Session(artifact, bus, clock, replace(_options(args, artifact), **changes), print)
     if not (args.lockstep or _armed(args.arm, digest)):
@@ -151,30 +162,34 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     if not auto:
         print("Enter lets the approach begin" if keys else "the approach begins once the arm is active")
     console = Console()
-    operator = Operator(console, lambda: session.controller.contact_time, args.duration, auto or not keys, keys)
+    ready = auto or not keys
+    operator = Operator(console, signals, lambda: session.controller.contact_time, args.duration, ready, keys)
     each: Callable[[Any], Any] = operator.each
-    told: Callable[[], list[str]] = list
+    told: Callable[[bool], list[str]] | None = None
     if args.lockstep:
-        each, told = _watched(clock.twin, session.controller, operator.each)
+        each, told = _watched(args, clock, session, operator.each)
+    signals.begin()
     try:
         ended = session.run(operator.command, watchdog, each)
     except BaseException:
+        failed = session.save(file, digest, SafetyState(OperatingState.FAULT, Reason.ERROR))
         console.close()
-        print(session.write(_recording(args.output), digest, SafetyState(OperatingState.FAULT, Reason.ERROR)))
+        print(failed.sentence)
         raise
+    # Before anything is printed: who reads may be gone, or as slow as he likes.
+    saved = session.save(file, digest, ended.safety_state) if args.record or not ended.well else None
     console.close()
     print(session.statistics.report())
-    print("\n".join([*session.notes(), *told()]))
-    if args.record or not ended.well:
-        print(session.write(_recording(args.output), digest, ended.safety_state))
+    print("\n".join([*session.notes(), *(told(ended.well) if told else [])]))
+    if log is not None:
+        print(log.close())
+    if saved is not None:
+        print(saved.sentence)
     print(f"ended: {ended.safety_state.state}, {ended.safety_state.reason} {ended.safety_state.detail}".rstrip())
-    return 0 if ended.well else 1
-
-
-def _recording(folder: Path) -> Path:
-    """A new file's name in the folder of recordings."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return next(path for i in count() if not (path := folder / f"flight-{i:04d}.npz").exists())
+    kept = (saved is None or saved.ok) and (log is None or log.complete)
+    if not kept:
+        print("jaxmpc run: what was to be recorded is not where it was to be; see above", file=sys.stderr)
+    return 0 if ended.well and kept else 1
 
 
 def _twin(args: argparse.Namespace) -> tuple[Any, Any]:
@@ -189,13 +204,16 @@ def _twin(args: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def _watched(
-    twin: Any, controller: Any, each: Callable[[Any], Any]
-) -> tuple[Callable[[Any], Any], Callable[[], list[str]]]:
-    """Somebody at the twin's pendant, who activates it once it is armed, and what the twin tells of the residual."""
+    args: argparse.Namespace, clock: Any, session: Any, each: Callable[[Any], Any]
+) -> tuple[Callable[[Any], Any], Callable[[bool], list[str]]]:
+    """Somebody at the twin's pendant, who activates it once it is armed, and what the twin tells of true forces."""
     from deploy.safety.machine import OperatingState
+    from deploy.twin.peak_force import PeakForces
     from deploy.twin.residual import FlownResiduals
 
-    residuals = FlownResiduals()
+    twin, controller = clock.twin, session.controller
+    residuals, peaks = FlownResiduals(), PeakForces()
+    clock.every_tick = lambda now: peaks.add_true(now.truth().force)
 
     def watched(result: Any) -> Any:
         now = result.safety_state
@@ -203,9 +221,14 @@ def _watched(
             twin.press("activate")
         if now.state is OperatingState.CONTACT:
             residuals.add(controller.contact_time, controller.force_ref, result.force, twin.truth().force)
+        peaks.add_measured(result.force)
         return each(result)
 
-    return watched, residuals.report
+    def told(well: bool) -> list[str]:
+        limit = session.artifact.arm.limits.force
+        return [*residuals.report(), *peaks.report(twin.faults, args.fault, well, twin.now, limit)]
+
+    return watched, told
 
 
 def _armed(given: str | None, digest: str) -> bool:

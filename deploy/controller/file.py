@@ -51,7 +51,9 @@ def from_bytes(data: bytes) -> Artifact:
     if header.get("schema") != SCHEMA:
         raise ArtifactError(f"it is sealed, but not a controller: its schema is {header.get('schema')!r}")
     version, kind = header.get("version"), header.get("kind")
-    if isinstance(version, int) and version > VERSION:
+    if type(version) is not int:  # true is 1 to Python
+        raise ArtifactError(f"it has schema version {version!r}, which never existed")
+    if version > VERSION:
         raise ArtifactError(f"it has schema version {version}, newer than {VERSION}: update jaxmpc on this machine")
     if version == 1:
         raise ArtifactError("it has schema version 1, which does not say what filters it flies with: freeze it again")
@@ -66,6 +68,13 @@ def from_bytes(data: bytes) -> Artifact:
         raise ArtifactError(f"it lacks the array {missing[0]}")
     if missing := [name for name in keys if name not in header]:
         raise ArtifactError(f"its header lacks {missing[0]}")
+    if surplus := [name for name in arrays if name not in names]:
+        raise ArtifactError(f"it holds the array {surplus[0]!r}, which no controller of its kind has")
+    if surplus := [name for name in header if name not in ("schema", "version", "kind", *keys, "family")]:
+        raise ArtifactError(f"its header has the key {surplus[0]!r}, which no controller of its kind has")
+    for name, array in arrays.items():
+        if array.dtype != np.dtype("<f8"):
+            raise ArtifactError(f"its array {name} is of {array.dtype}, not of float64")
     try:
         fields = {name: header[name] for name in HEADER} | {name: arrays[name] for name in GOLDEN}
         with np.errstate(all="ignore"):  # what overflows is refused for what it gives

@@ -55,6 +55,8 @@ ROBOT: Mapping[str, tuple[int, str]] = {
 torque, `applied` what the clamps left of it and the observers were told; `state`, `reason` and `clamped` are the
 numbers that the header's `names` spell out."""
 COLUMNS = {**SIMULATED, **ROBOT}
+ROOM = 2**16
+"""For a file's header and table of contents [bytes]; they take some 10 000."""
 
 
 class RecordingError(ValueError):
@@ -124,6 +126,32 @@ class FlightRecorder:
         ends = np.cumsum([width for width, _ in self.columns.values()])[:-1]
         return dict(zip(self.columns, np.split(rows, ends, axis=1), strict=True))
 
+    @staticmethod
+    def largest(seconds: float, rate: float) -> int:
+        """Most bytes that a file of the usual columns can have, some for its header included.
+
+        Args:
+            seconds: Length of the ring [s].
+            rate: Rows per second [1/s].
+        """
+        width = sum(width for width, _ in COLUMNS.values())
+        return 8 * width * max(1, round(seconds * rate)) + ROOM
+
+    def sealed(self, header: Mapping[str, Any]) -> bytes:
+        """A file's content, made in some tens of milliseconds: torques must be off by then.
+
+        Args:
+            header: Plain data: `artifact`, `reason`, `T_s` and whatever else is worth knowing.
+
+        Raises:
+            TypeError: The header is no plain data.
+            ValueError: It holds an infinity.
+        """
+        clocks = {"monotonic_ns": time.monotonic_ns(), "wall_ns": time.time_ns()}
+        columns = {name: list(column) for name, column in self.columns.items()}
+        about = {"schema": SCHEMA, "version": VERSION, "columns": columns, "refused": self.refused, **clocks}
+        return seal({**header, **about}, self.signals())
+
     def write(self, path: Path, header: Mapping[str, Any]) -> str:
         """Write a recording, in some tens of milliseconds: torques must be off by then.
 
@@ -135,12 +163,8 @@ class FlightRecorder:
             A sentence: what was written, or why nothing was. Then the rows are still in memory.
         """
         try:
-            signals = self.signals()
             count = len(self)
-            clocks = {"monotonic_ns": time.monotonic_ns(), "wall_ns": time.time_ns()}
-            columns = {name: list(column) for name, column in self.columns.items()}
-            about = {"schema": SCHEMA, "version": VERSION, "columns": columns, "refused": self.refused, **clocks}
-            write_atomic(path, seal({**header, **about}, signals))
+            write_atomic(path, self.sealed(header))
         except OSError as error:
             return (
                 f"the flight recording could not be written to {path}: {error.strerror or error}; it is kept in memory"

@@ -92,6 +92,7 @@ class TaskController:
         if task is Task.CONTROL:
             if entered:
                 self._enter(force or NONE, q)
+                self._start = tip
             return self._control(q, qd, force)
         if task is Task.OFF:
             return (0.0, 0.0, 0.0, 0.0)
@@ -109,13 +110,19 @@ class TaskController:
 
     def travelled(self, tip: Vector3) -> bool:
         """Whether the approach or the retraction has gone as far as it may."""
+        # The reference may be far ahead of an arm that something holds back.
+        gone, asked = self.along(self._start, tip), self.along(self._start, self._reference)
         if self._task is Task.APPROACH:
-            return self.along(self._start, tip) < -self.contacting.approach_limit
+            far = self.contacting.approach_limit
+            return gone < -far or asked < -far - LARGEST_ERROR
         if self._task is Task.RETRACT:
-            # The reference may be far ahead of an arm that something holds back.
-            far, asked = self.contacting.retract_distance, self.along(self._start, self._reference)
-            return self.along(self._start, tip) >= far or asked >= 2.0 * far
+            far = self.contacting.retract_distance
+            return gone >= far or asked >= 2.0 * far
         return False
+
+    def depth(self, tip: Vector3) -> float:
+        """How far the tip has gone down since contact was made [m]; 0 without contact."""
+        return -self.along(self._start, tip) if self._task is Task.CONTROL else 0.0
 
     def along(self, start: Vector3, end: Vector3) -> float:
         """Distance from one point to another along the contact normal [m]."""

@@ -7,7 +7,7 @@ machine takes it, and the cycle ends with the frame of the task that is then all
 """
 
 from collections.abc import Callable
-from math import dist, isfinite
+from math import dist, inf, isfinite
 from typing import NamedTuple
 
 from deploy.controller.limits import Limits
@@ -17,6 +17,8 @@ from deploy.puck.frame import Frame
 from deploy.safety import machine
 from deploy.safety.checker import Checker, Strictness
 from deploy.safety.clamp import NOTHING, Clamp, bounds, clamp
+from deploy.safety.force_balance import BalanceState, balance_step
+from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import Observations, OperatingState, SafetyState, Task
 from deploy.safety.plausible import EncoderState, ForceState, beyond_stop, encoder_step, force_step
 from deploy.safety.reasons import Reason
@@ -45,6 +47,8 @@ class OperatorCommand(NamedTuple):
     armed: bool = False
     start: bool = False
     finish: Reason = Reason.NONE
+    abort: bool = False
+    """Let go at once, wherever the arm is."""
 
 
 class CycleResult(NamedTuple):
@@ -78,6 +82,8 @@ class Cycle:
         tip_kinematics: Callable[[Vector4, Vector4], TipKinematics],
         turns: bool = True,
         hook: Callable[[Vector3], Vector3] | None = None,
+        estimate: ForceEstimate | None = None,
+        deepest: float = inf,
     ) -> None:
         """Assemble the cycle before motion.
 
@@ -90,6 +96,8 @@ class Cycle:
             tip_kinematics: Motion of tip and tool, as `deploy.wam.tip_pose.tip_kinematics` makes it.
             turns: Whether the force sensor turns with the tool; else it keeps its direction in the world.
             hook: What becomes of a measured force on its way, to inject faults that no CAN frame can hold.
+            estimate: The force as the motors tell it; None leaves the sensor's scale and sign unchecked.
+            deepest: Travel in contact beyond which the softest promised tissue gives more than the limit [m].
 
         Raises:
             InputError: The pucks, or the limits, are not fit for this.
@@ -103,6 +111,7 @@ class Cycle:
         self._bridge = EncoderBridge(arm.counts)
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
+        self._estimate, self._balance, self._deepest = estimate, BalanceState(), deepest
         self._age, self._hazards = [0] * 4, Hazards(arm, T_s)
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
@@ -121,6 +130,11 @@ class Cycle:
         qd = runtime.velocity(q) if age <= machine.BRIDGED else ZERO
         kinematics = self._tip_kinematics(q, qd)
         force, doubt = self._force(reading, kinematics)
+        unbalanced = self._weighed(q, qd, force, age, timing.missed)
+        if doubt is Reason.NONE:
+            doubt = unbalanced
+        if doubt is Reason.NONE and self.controller.depth(kinematics.tip) > self._deepest:
+            doubt = Reason.FORCE_MODEL
         hazard, detail = self._hazards.judge(reading, timing, min(self._age))
         if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._hazards.lately):
             danger = Reason.LATE
@@ -146,6 +160,8 @@ class Cycle:
         """Result with the frame of the task, or of the lesser task that a refusal leads to."""
         while True:
             task = machine.task_of(self.safety_state, age)
+            if self.safety_state.reason is Reason.FORCE_MODEL:
+                force = None  # what was found to lie must not be made good by torque
             wanted = self.controller.torque(task, q, qd, kinematics.tip, kinematics.velocity, force)
             applied, acted = (ZERO, NOTHING) if task is Task.OFF else clamp(wanted, self.checker.torque, self._bounds)
             frame = self.arm.torque_frame(applied)
@@ -162,6 +178,25 @@ class Cycle:
         if task is Task.CONTROL:
             self.controller.runtime.applied(applied)
         return CycleResult(frame, self.safety_state, task, acted, q, qd, kinematics, force, wanted, applied)
+
+    def _weighed(self, q: Vector4, qd: Vector4, force: Vector3 | None, age: int, missed: int) -> Reason:
+        """Whether the motors' torques agree with the measured force."""
+        estimate, now = self._estimate, self.safety_state.state
+        if estimate is None:
+            return Reason.NONE
+        if not self._hazards.active or age > machine.BRIDGED:
+            estimate.start(qd)  # undriven, or blind
+            return Reason.NONE
+        if missed:
+            estimate.skip(qd)
+            return Reason.NONE
+        told = estimate.step(q, qd, self.checker.torque)
+        approaching = now is OperatingState.APPROACH
+        if not (approaching or now is OperatingState.CONTACT):
+            return Reason.NONE
+        normal = self.controller.contacting.normal
+        self._balance, reason = balance_step(self._balance, told, force, normal, approaching, self._T_s)
+        return reason or Reason.NONE
 
     def _positions(self, reading: Reading, missed: int) -> tuple[Reason, int, int]:
         """Take positions; the reason to distrust them, the age of the oldest [cycles], and its motor (0–3)."""

@@ -10,6 +10,9 @@ FOREIGN, FOREIGN_CYCLES = 4, 2
 """Foreign frames in a cycle, so many cycles in a row, that are a babbling node: half of what a full bus can hold."""
 SILENT = 100
 """Cycles without a word of the safety module, which is asked every ten."""
+UNANSWERED = 25
+"""Cycles without a word of the safety module in which it was asked at least twice."""
+NOBODY = "nobody answers, nor does the safety module: the bus is cut, or what answers on it stands still or is late"
 LATELY = 1000
 """Cycles for which lateness explains replies that do not come."""
 CHANGING = 0.2
@@ -73,7 +76,8 @@ class Hazards:
         if was_active and not self._active:
             return Reason.IDLE, ""
         if youngest >= machine.BRIDGED and not self.lately:
-            return Reason.POSITION_LOST, "no puck answers, as after an e-stop"
+            nobody = reading.safety_age > UNANSWERED and reading.force_age >= machine.BRIDGED
+            return Reason.POSITION_LOST, NOBODY if nobody else "no puck answers, as after an e-stop"
         if reading.safety_age > SILENT and arm.cycle > SILENT:
             return Reason.PENDANT_FAULT, "the safety module is silent"
         if reading.pendant is not None and (faults := reading.pendant.faults):
@@ -82,6 +86,8 @@ class Hazards:
 
     def _of_bus(self) -> tuple[Reason, str]:
         bus = self._arm.bus
+        if bus.state == "down":
+            return Reason.BUS_OFF, bus.remedy
         if bus.state != "active":
             return Reason.BUS_OFF if bus.state == "off" else Reason.BUS_ERROR, ""
         foreign = bus.counters.foreign

@@ -1,15 +1,14 @@
 """The operator at the arm: messages shown and commands taken, without the loop ever waiting for either."""
 
-import signal
 import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from types import FrameType
 from typing import TextIO
 
 from deploy.loop.cycle import CycleResult, OperatorCommand
+from deploy.loop.signals import EndingSignals
 from deploy.safety.machine import OperatingState, Task
 from deploy.safety.reasons import EXPLANATION, Reason
 
@@ -19,7 +18,7 @@ _PAUSE = 0.02
 _SAID = {
     OperatingState.ARMED: "armed: press Shift-activate on the pendant",
     OperatingState.APPROACH: "approach: going down until the tissue is met",
-    OperatingState.CONTACT: "contact: the controller is in charge; Enter or Ctrl-C ends it",
+    OperatingState.CONTACT: "contact: the controller is in charge; Enter or Ctrl-C ends it, a second Ctrl-C lets go",
     OperatingState.RETRACT: "retract",
     OperatingState.STOPPED: "stopped: held, then let go",
     OperatingState.FAULT: "FAULT",
@@ -49,9 +48,12 @@ class Console:
     def _work(self) -> None:
         while True:
             closing = self._closing.wait(_PAUSE)
-            while self._lines:
-                self._out.write(f"{self._lines.popleft()}\n")
-            self._out.flush()
+            try:
+                while self._lines:
+                    self._out.write(f"{self._lines.popleft()}\n")
+                self._out.flush()
+            except (OSError, ValueError):  # nobody reads any more: that must not stop the arm either
+                return
             if closing:
                 return
 
@@ -60,31 +62,36 @@ class Operator:
     """Operator commands, cycle by cycle, from keys, Ctrl-C and the end of the experiment."""
 
     def __init__(
-        self, console: Console, contact_time: Callable[[], float], duration: float, start: bool, keys: bool
+        self,
+        console: Console,
+        signals: EndingSignals,
+        contact_time: Callable[[], float],
+        duration: float,
+        start: bool,
+        keys: bool,
     ) -> None:
-        """Listen to signals and keys.
+        """Listen to keys.
 
         Args:
             console: Where changes are shown.
+            signals: Entered; the first asks for the end, the second lets go.
             contact_time: How long the law has been in control [s].
             duration: When that is enough [s].
             start: Whether the approach begins by itself once the pendant has activated.
             keys: Whether Enter on standard input lets it begin, and then ends it.
         """
-        self._console, self._contact_time, self._duration = console, contact_time, duration
+        self._console, self._signals, self._contact_time, self._duration = console, signals, contact_time, duration
         self._start, self._stop = start, False
         self._shown: tuple[OperatingState, Reason, Task] | None = None
         self._state = OperatingState.IDLE
-        signal.signal(signal.SIGINT, self._interrupted)
-        signal.signal(signal.SIGTERM, self._interrupted)
         if keys:
             threading.Thread(target=self._listen, name="keys", daemon=True).start()
 
     @property
     def command(self) -> OperatorCommand:
         """Command of the operator at this moment."""
-        if self._stop:
-            return OperatorCommand(True, self._start, Reason.OPERATOR)
+        if self._stop or self._signals.count:
+            return OperatorCommand(True, self._start, Reason.OPERATOR, self._signals.count > 1)
         return OperatorCommand(
             True, self._start, Reason.FINISHED if self._contact_time() >= self._duration else Reason.NONE
         )
@@ -96,9 +103,6 @@ class Operator:
             self._shown, self._state = showing, now.state
             self._console.say(_line(result))
         return self.command
-
-    def _interrupted(self, number: int, frame: FrameType | None) -> None:
-        self._stop = True
 
     def _listen(self) -> None:
         for _ in sys.stdin:

@@ -12,9 +12,10 @@ from typing import Any
 
 from deploy.bus.bus import Bus
 from deploy.controller.artifact import Artifact
-from deploy.controller.runtimes import arm_runtime
-from deploy.errors import CalibrationError
+from deploy.controller.runtimes import arm_runtime, flown_controller
+from deploy.errors import BusError, CalibrationError
 from deploy.flight.recorder import FlightRecorder
+from deploy.flight.recording_file import RecordingFile, Saved
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import IDENTITY, ForceSensor, Mounted, mean_force
 from deploy.loop.control import Contacting, TaskController
@@ -23,10 +24,11 @@ from deploy.loop.loop import REASONS, STATES, Loop, RunResult, Watching
 from deploy.loop.statistics import Statistics
 from deploy.reference.sources import Source
 from deploy.safety.clamp import Clamp
+from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import SafetyState
 from deploy.wam.arm import WamArm
 from deploy.wam.dialogue import Clock
-from deploy.wam.startup import startup
+from deploy.wam.startup import OTHERS, startup
 from deploy.wam.tip_pose import tip_kinematics
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.scalar import Matrix
@@ -35,6 +37,8 @@ NEAR = 0.3
 """Farthest that a joint may be from the controller's posture at the start [rad]: its margins hold there."""
 WANTED = 0.8
 """Largest wanted force over the limit of the measured one [-]."""
+HEART = 0.025
+"""Way of heart and lungs together, from top to bottom [m]; those of the twin have 14 mm."""
 TARING = 1.3
 """Patience for the sensor's own tare [s], which takes about one."""
 CHECKED = 200
@@ -126,6 +130,8 @@ class Session:
             tip_kinematics(model.chain),
             options.turns,
             options.hook,
+            ForceEstimate(model, flown_controller(artifact)[0].measurement),
+            deepest(artifact),
         )
         self.recorder = FlightRecorder(seconds=options.seconds, rate=1.0 / artifact.T_s)
         self.statistics = Statistics(round(1e9 * artifact.T_s))
@@ -139,11 +145,34 @@ class Session:
             command: First command of the operator.
             watchdog: Standing by; None only where time is simulated.
             each: Takes the result of every cycle, returns the operator's next command.
+
+        Raises:
+            BusError: Somebody else has begun to command while the operator was waited for; nothing was sent.
         """
+        bus = self.arm.bus
+        hosts = bus.counters.hosts
+        bus.flush()
+        if bus.counters.hosts > hosts:
+            raise BusError(f"{OTHERS}; nothing was sent")
         period = round(1e9 * self.artifact.T_s)
         loop = Loop(self.cycle, self._clock, period, self.recorder, watchdog, each, self._options.log)
         self.statistics = loop.statistics
         return loop.run(command)
+
+    def save(self, file: RecordingFile, digest: str, safety_state: SafetyState) -> Saved:
+        """Write the flight recording into its file, and say what became of it; it never raises.
+
+        Args:
+            file: Opened before the arm moved.
+            digest: sha256 of the controller.
+            safety_state: State in which the run ended.
+        """
+        try:
+            data = self.recorder.sealed(self._header(digest, safety_state))
+        except (TypeError, ValueError, MemoryError) as error:
+            return Saved(False, f"flight recording: LOST, for it could not be sealed: {error}")
+        saved = file.save(data)
+        return Saved(saved.ok, f"flight recording: {len(self.recorder)} samples in {saved.sentence}")
 
     def write(self, path: Path, digest: str, safety_state: SafetyState) -> str:
         """Write the flight recording; a sentence on what became of it.
@@ -153,7 +182,10 @@ class Session:
             digest: sha256 of the controller.
             safety_state: State in which the run ended.
         """
-        header = {
+        return self.recorder.write(path, self._header(digest, safety_state))
+
+    def _header(self, digest: str, safety_state: SafetyState) -> dict[str, Any]:
+        return {
             "artifact": digest,
             "reason": str(safety_state.reason),
             "detail": safety_state.detail,
@@ -164,13 +196,13 @@ class Session:
                 "clamped": list(Clamp._fields),
             },
         }
-        return self.recorder.write(path, header)
 
     def notes(self) -> list[str]:
         """Notes on what was counted besides cycles."""
         arm, counters = self.arm, self.arm.bus.counters
         bus = f"bus: {counters.sent} frames sent, {counters.received} received, {counters.foreign} foreign"
         bus += f", {counters.malformed + arm.malformed} malformed, {counters.send_errors} refused"
+        bus += f", {arm.bus.count_dropped()} dropped unread"
         lost = f"positions: {arm.late} late, {arm.duplicates} twice, {arm.doubtful} doubtful, {arm.jumps} jumps"
         return [bus, lost, *self.controller.notes()]
 
@@ -179,6 +211,12 @@ def largest_wanted(artifact: Artifact) -> float:
     """Largest force that may be wanted [N]: what is measured must have room to sway below its limit."""
     assert artifact.arm is not None
     return WANTED * artifact.arm.limits.force
+
+
+def deepest(artifact: Artifact) -> float:
+    """How far the tip may go down in contact [m]: the softest promised tissue at the limit, and a heart's way."""
+    assert artifact.arm is not None
+    return float(artifact.arm.limits.force / min(row["stiffness"] for row in artifact.margins) + HEART)
 
 
 def _standing(arm: WamArm, posture: Any) -> None:
@@ -203,7 +241,9 @@ def _tare(arm: WamArm, clock: Clock, T_s: float) -> None:
         deadline = clock.now() + period
         for frame in arm.sensor.request():
             arm.bus.send(frame)
-        while not arm.sensor.ready and (got := arm.bus.receive((deadline - clock.now()) * 1e-9)) is not None:
+        while not arm.sensor.ready and (left := deadline - clock.now()) > 0:
+            if (got := arm.bus.receive(left * 1e-9)) is None:
+                break
             arm.sensor.feed(got[0])
         if (wrench := arm.sensor.read()) is not None:
             taken.append(wrench)

@@ -1,10 +1,12 @@
 """State machine of the arm: states, the one way up, the many ways down.
 
     IDLE → ARMED → APPROACH → CONTACT → RETRACT → STOPPED
-      any of them → FAULT
+      IDLE → STOPPED, any of them → FAULT
 
 A safety state only ever moves along these arrows. RETRACT, STOPPED and FAULT never lead back: whoever wants to go on
-starts anew, with arming and the pendant. Each way down carries its reason; nothing here raises.
+starts anew, with arming and the pendant. Each way down carries its reason; nothing here raises. Every state looks at
+every hazard and at the operator, and none lasts for ever: IDLE and ARMED have their patience, APPROACH and RETRACT end
+by how far they have asked the tip to go, CONTACT by the run's duration.
 """
 
 from enum import StrEnum
@@ -16,6 +18,10 @@ BRIDGED = 2
 """Age of a position up to which it still controls, extrapolated [cycles]."""
 HELD = 20
 """Age up to which gravity is still compensated at the last positions [cycles]; beyond it the arm is let go."""
+IDLE_PATIENCE = 500
+"""Cycles in IDLE after which no arming is to be hoped for: a healthy arm tells all its positions in the first."""
+ARMED_PATIENCE = 600_000
+"""Cycles for which the pendant and the operator are waited for, ten minutes at 1 kHz."""
 CONTACT_CYCLES = 3
 """Cycles in a row above the contact threshold that make a contact."""
 BRAKES = frozenset({Reason.JOINT_VELOCITY, Reason.TIP_VELOCITY, Reason.ELBOW_VELOCITY, Reason.WORKSPACE})
@@ -73,6 +79,8 @@ class Observations(NamedTuple):
     """The operator lets the approach begin."""
     finish: Reason = Reason.NONE
     """The operator, or the end of the experiment, asks to stop."""
+    abort: bool = False
+    """The operator asks again: the arm is let go at once, wherever it is."""
 
 
 class SafetyState(NamedTuple):
@@ -91,8 +99,10 @@ class SafetyState(NamedTuple):
     @property
     def over(self) -> bool:
         """Whether the state is final."""
-        return self.state in (OperatingState.STOPPED, OperatingState.FAULT)
+        return self.state in _FINAL
 
+
+_FINAL = (OperatingState.STOPPED, OperatingState.FAULT)
 
 _TASKS = {
     OperatingState.IDLE: Task.OFF,
@@ -104,6 +114,10 @@ _TASKS = {
     OperatingState.FAULT: Task.GRAVITY,
 }
 
+_SILENCING = frozenset({Reason.E_STOP, Reason.BUS_OFF, Reason.BUS_ERROR, Reason.STALLED})
+"""Why pucks fall silent, where it is told after they did: a likelier cause than that all were lost."""
+_PATIENCE = {OperatingState.IDLE: IDLE_PATIENCE, OperatingState.ARMED: ARMED_PATIENCE}
+
 
 def step(now: SafetyState, observed: Observations) -> SafetyState:
     """The safety state after a cycle.
@@ -113,10 +127,15 @@ def step(now: SafetyState, observed: Observations) -> SafetyState:
         observed: Observations of this cycle; the gravest decides.
     """
     state, reason = _next(now, observed)
+    # Undriven so far, the arm is not taken up for the way out.
+    let_go = now.let_go or reason.lets_go or observed.abort or (now.state is OperatingState.IDLE and state in _FINAL)
     if state is now.state and reason is now.reason:
-        return now._replace(cycles=now.cycles + 1, contact_cycles=now.contact_cycles + 1 if observed.touching else 0)
+        contact_cycles = now.contact_cycles + 1 if observed.touching else 0
+        again = observed.hazard is reason is Reason.POSITION_LOST and observed.detail
+        detail = observed.detail if again else now.detail  # who else is silent shows only after some cycles
+        return now._replace(detail=detail, cycles=now.cycles + 1, contact_cycles=contact_cycles, let_go=let_go)
     detail = now.detail if reason is now.reason else observed.detail
-    return SafetyState(state, reason, detail, let_go=now.let_go or reason.lets_go)
+    return SafetyState(state, reason, detail, let_go=let_go)
 
 
 def task_of(now: SafetyState, position_age: int) -> Task:
@@ -133,22 +152,27 @@ def _next(now: SafetyState, observed: Observations) -> tuple[OperatingState, Rea
     state, reason = now.state, now.reason
     found = _gravest(observed)
     if state is OperatingState.FAULT:
-        if reason is Reason.POSITION_LOST and observed.danger is Reason.LATE:
-            return state, Reason.LATE  # they were not lost, as shows only now
+        if reason is Reason.POSITION_LOST:  # what it was shows only now
+            if observed.hazard in _SILENCING:
+                return state, observed.hazard
+            if observed.danger is Reason.LATE:
+                return state, Reason.LATE
         # Only what lets the arm go may replace a reason to hold it.
         return (state, found) if found.lets_go and not now.let_go else (state, reason)
-    if state is OperatingState.IDLE:
-        return (
-            (OperatingState.ARMED, Reason.NONE)
-            if observed.armed and found is Reason.NONE and observed.position_age == 0
-            else (state, reason)
-        )
     if found is not Reason.NONE:
         return OperatingState.FAULT, found
+    if observed.abort and state is not OperatingState.STOPPED:
+        return OperatingState.FAULT, Reason.OPERATOR
     leave = observed.doubt if observed.doubt is not Reason.NONE else observed.finish
-    if state is OperatingState.ARMED:
+    if state in _PATIENCE:
+        if leave is Reason.NONE and now.cycles + 1 >= _PATIENCE[state]:
+            leave = Reason.NOT_STARTED
         if leave is not Reason.NONE:
             return OperatingState.STOPPED, leave
+    if state is OperatingState.IDLE:
+        ready = observed.armed and observed.position_age == 0
+        return (OperatingState.ARMED if ready else state), reason
+    if state is OperatingState.ARMED:
         return (OperatingState.APPROACH, reason) if observed.active and observed.start else (state, reason)
     if state in (OperatingState.APPROACH, OperatingState.CONTACT) and leave is not Reason.NONE:
         return OperatingState.RETRACT, leave

@@ -7,8 +7,9 @@ Faults are named as PX4 names them. What each can see, and what it cannot:
     stuck               12 equal samples of all three axes, or an encoder that stops dead at speed
     slow                too many samples that repeat the one before
     wrong, sign flip    when it sets in: a jump of the force, or an innovation of the observer; an encoder's as a jump.
-                        A scale or bias that was there from the start looks like another tissue: it is *not* seen. A
-                        wrong sign from the start shows at first contact, in the force error (`deploy.loop.cycle`).
+                        A scale or bias that was there from the start looks like another tissue: it is *not* seen
+                        here, but by the motors if it hides a push (`deploy.safety.force_balance`). A wrong sign from
+                        the start shows at first contact, in the force error (`deploy.loop.cycle`), or there.
     delayed             not seen as such; the loop it destabilises breaks a limit, or the innovation's
 
 Each threshold stands between the fastest that a tissue, a motor or an observer does and the smallest fault that it is

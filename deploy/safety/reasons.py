@@ -47,6 +47,7 @@ class Reason(StrEnum):
     IDLE = "idle"
     PENDANT_FAULT = "pendant-fault"
     WATCHDOG = "watchdog"
+    NOT_STARTED = "not-started"
     NO_CONTACT = "no-contact"
     OPERATOR = "operator"
     FINISHED = "finished"
@@ -114,6 +115,7 @@ EXPLANATION: Mapping[Reason, str] = {
     Reason.IDLE: "The pendant, or the safety module, set the arm to idle.",
     Reason.PENDANT_FAULT: "The safety module reported a fault.",
     Reason.WATCHDOG: "The watchdog process has ended or cannot be reached.",
+    Reason.NOT_STARTED: "Nobody armed, activated or started the arm within the time that it waits.",
     Reason.NO_CONTACT: "The tissue was not met where it was expected.",
     Reason.OPERATOR: "The operator stopped it.",
     Reason.FINISHED: "The run is over.",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
+    from deploy.twin.raw_bus import RawBus
     from deploy.twin.server import Server
     from deploy.twin.twin import Twin
 
@@ -23,6 +24,8 @@ _MODES = ("e-stop", "idle", "active")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
+    from deploy.bus.bus import add_arguments
+
     parser.add_argument("--experiment", help="tissue, heart and arm of a TOML file, or of a published experiment")
     parser.add_argument("--stiffness", type=float, metavar="N/m", help="of the tissue (810, or the experiment's)")
     parser.add_argument("--tissue", help="elastic, kelvin-voigt, standard-linear, … (elastic, or the experiment's)")
@@ -37,21 +40,25 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fault", action="append", default=[], metavar="TARGET:WORD", help="force:stuck@12, J2:off@3+0.1"
     )
-    parser.add_argument("--port", type=int, default=PORT, help=f"on 127.0.0.1; 0 takes a free one ({PORT})")
+    parser.add_argument(
+        "--port", type=int, help=f"of socketcand on 127.0.0.1; 0 takes a free one ({PORT}; with -i none)"
+    )
     parser.add_argument("--slcan", action="store_true", help="also as a serial adapter at a pseudo-terminal")
     parser.add_argument("--seed", type=int, default=0, help="of noise, heart and faults (0)")
     parser.add_argument("--duration", type=float, metavar="S", help="end after so long; else Ctrl-C ends it")
     parser.add_argument(
         "--activate-after", type=float, metavar="S", help="the pendant's activate button, pressed by itself"
     )
+    add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the twin until it is interrupted or over; 1 if the port is taken.
+    """Serve the twin until it is interrupted or over; 1 if the port is taken, or the interface cannot be used.
 
     Raises:
         InputError: A setting, a fault or a number is wrong.
     """
+    from deploy.errors import BusError
     from deploy.loop.realtime import PRIORITY, prepared
     from deploy.twin.scenario import twin_settings
     from deploy.twin.server import HOST, Server
@@ -59,7 +66,9 @@ def run(args: argparse.Namespace) -> int:
 
     _positive("--duration", args.duration)
     _positive("--activate-after", args.activate_after)
-    if not 0 <= args.port < 65536:
+    if args.port is None and not hasattr(args, "interface"):
+        args.port = PORT
+    if args.port is not None and not 0 <= args.port < 65536:
         raise InputError("--port", args.port, "in [0, 65535]", "Choose another one.")
     if args.slcan and find_spec("serial") is None:
         remedy = "Install pyserial, or use the socketcand port, which needs nothing."
@@ -87,6 +96,11 @@ def run(args: argparse.Namespace) -> int:
         return 1
     with contextlib.ExitStack() as stack:
         stack.callback(server.close)
+        try:
+            bus = _interface(args, server)
+        except BusError as error:
+            print(f"jaxmpc twin: {error}", file=sys.stderr)
+            return 1
         stack.enter_context(_keyboard(twin, server))
         granted = stack.enter_context(prepared(PRIORITY - 5))
         for number in (signal.SIGTERM, signal.SIGINT):  # a shell's background job would ignore the latter
@@ -98,7 +112,27 @@ def run(args: argparse.Namespace) -> int:
             _introduce(twin, server)
             server.run(args.duration, _Status(twin, server))
     _statistics(twin, server)
+    if bus is not None and bus.hopeless:
+        print(f"jaxmpc twin: {args.interface} {getattr(args, 'channel', '')}: the interface has gone", file=sys.stderr)
+        return 1
     return 0
+
+
+def _interface(args: argparse.Namespace, server: "Server") -> "RawBus | None":
+    """Be a node of the bus that the flags name, if they name one.
+
+    Raises:
+        BusError: It cannot be opened.
+    """
+    from deploy.bus.bus import open_interface
+    from deploy.twin.raw_bus import RawBus
+
+    if not hasattr(args, "interface"):
+        return None
+    bus = RawBus(open_interface(args))
+    server.join(bus)
+    print(f"bus: -i {args.interface}{f' -c {args.channel}' if hasattr(args, 'channel') else ''}")
+    return bus
 
 
 def _positive(flag: str, seconds: float | None) -> None:
@@ -123,8 +157,8 @@ def _introduce(twin: "Twin", server: "Server") -> None:
         value = "" if math.isnan(fault.value) else f" {fault.value:g}"
         lasts = "" if math.isinf(fault.duration) else f" for {fault.duration:g} s"
         print(f"{fault.target}: {fault.word}{value} from {fault.start:g} s{lasts}")
-    flags = f"-i socketcand -c can0 --bus-kwargs host={HOST} port={server.port} tcp_tune=True"
-    print(f"bus: {flags}")
+    if server.port:
+        print(f"bus: -i socketcand -c can0 --bus-kwargs host={HOST} port={server.port} tcp_tune=True")
     print(
         f"pendant: {', '.join(f'{key} {button}' for key, button in KEYS.items())}; c carries the idle arm", flush=True
     )

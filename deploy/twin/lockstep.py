@@ -17,7 +17,12 @@ from deploy.twin.twin import MILLISECOND, Twin
 
 
 class LockstepClock:
-    """The twin's time [ns], from 0 on; it and not the computer decides what is late."""
+    """The twin's time [ns], from 0 on; it and not the computer decides what is late.
+
+    Attributes:
+        twin: The robot.
+        every_tick: Called after every millisecond of the twin, to watch it; None calls nothing.
+    """
 
     def __init__(self, twin: Twin, every_tick: Callable[[Twin], None] | None = None) -> None:
         """Start at the twin's time.
@@ -26,7 +31,7 @@ class LockstepClock:
             twin: The robot.
             every_tick: Called after every millisecond of the twin, to watch it.
         """
-        self.twin, self._every_tick = twin, every_tick
+        self.twin, self.every_tick = twin, every_tick
         self._now = twin.now_ns
         self._buses: list[LockstepBus] = []
 
@@ -40,8 +45,8 @@ class LockstepClock:
             self._now = self.twin.now_ns + MILLISECOND
             self.deliver()
             self.twin.advance()
-            if self._every_tick is not None:
-                self._every_tick(self.twin)
+            if self.every_tick is not None:
+                self.every_tick(self.twin)
         self._now = max(self._now, deadline_ns)
         self.deliver()
 

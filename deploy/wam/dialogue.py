@@ -46,8 +46,7 @@ class Dialogue:
             BusError: The bus does not take it.
         """
         if not self.bus.send(frame):
-            remedy = "check that the arm is powered, the cable and its 120 Ω terminators, and 1 Mbit/s at the adapter"
-            raise BusError(f"the bus takes no frames (it is {self.bus.state}): {remedy}; then start again")
+            raise BusError(f"the bus takes no frames (it is {self.bus.state}): {self.bus.remedy}; then start again")
 
     def order(self, node: int, number: int, value: int, then_s: float = 0.0) -> None:
         """Set a property, then let some time pass [s]."""

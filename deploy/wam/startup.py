@@ -28,7 +28,12 @@ IGNORED_VELOCITIES: Final = 5
 """Entries of the safety module's velocity history that are void while positions jump (libbarrett)."""
 STOP_TOLERANCE: Final = 0.19
 """Half a turn of the motor that turns its joint furthest [rad]: what homing can be wrong by (wam.md §1.3)."""
+OTHERS: Final = "somebody else commands on this bus: stop the other program, then start again"
 NAMES: Final = {SAFETY_MODULE: "the safety module", SENSOR: "the force sensor"}
+QUIET_S: Final = 0.05
+"""How long is listened before a word is said [s]: a controller at work sends a hundred frames in that time."""
+LINK_S: Final = 1.0
+"""Patience for an interface that is down [s]: one that is being restarted comes up within."""
 STAT, VERS, ROLE, MODE = 5, 0, 1, 8
 """Numbers that are the same in every firmware."""
 
@@ -66,6 +71,8 @@ def startup(
     bus.flush()
     bus.listen_to(range(1, 32))
     talk = Dialogue(bus, clock)
+    _alone(talk)
+    _link_up(talk, report)
     status = _enumerate(talk)
     asked = {frame.id & 0x1F for frame in sensor.request()}
     safety_version = _idle_safety_module(talk, status, patience_s, report)
@@ -118,10 +125,30 @@ def startup(
         raise BusError(f"puck {missing} does not tell its position when all are asked: check its GRPC (4) with btutil")
     _within_stops(pucks.angles(counts_now))
     if bus.counters.hosts:
-        raise BusError("somebody else commands on this bus: stop the other program, then start again")
+        raise BusError(OTHERS)
     bus.listen_to((*PUCKS, *asked, SAFETY_MODULE))
     report(f"started: firmware {', '.join(str(info.version) for info in pucks.infos)}, IPNM {pucks.ipnm}")
     return WamArm(bus, pucks, sensor, counts_now, safety_version)
+
+
+def _alone(talk: Dialogue) -> None:
+    """Listen before a word is said: any question would stop the controller that is at work."""
+    talk.listen(QUIET_S)
+    if talk.bus.counters.hosts:
+        raise BusError(f"{OTHERS}; nothing was sent")
+
+
+def _link_up(talk: Dialogue, report: Callable[[str], None]) -> None:
+    """Wait a little for an interface that is down, as the first attempt to read has told."""
+    bus, clock, question = talk.bus, talk.clock, get(SAFETY_MODULE, STAT)
+    if bus.state != "down":
+        return
+    report(f"waiting: {bus.remedy}")
+    deadline = clock.now() + int(LINK_S * NS)
+    while not bus.recover(question):
+        if clock.now() >= deadline or bus.state != "down":
+            raise BusError(f"the bus takes no frames (it is {bus.state}): {bus.remedy}; then start again")
+        clock.wait_until(clock.now() + NS // 20)
 
 
 def _enumerate(talk: Dialogue) -> dict[int, int]:

@@ -5,6 +5,7 @@ import io
 import json
 import math
 import os
+import re
 import struct
 import tempfile
 import zipfile
@@ -21,6 +22,8 @@ LARGEST = 64 * 2**20
 
 LARGEST_CONTENTS = 2**20
 """Largest table of contents of its zip archive [bytes]; a file of ours has a dozen entries of 60."""
+_NAME = re.compile(r"(?!.*\.\.)\w[\w.\[\]() -]*(/\w[\w.\[\]() -]*)*\.npy", re.ASCII)
+_KINDS = "biufcSU"
 _END = struct.Struct("<4s4H2LH")
 """Last record of a zip archive without a comment; the sixth number is the size of the table of contents."""
 
@@ -64,9 +67,9 @@ def unseal(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     try:
         _check_contents(body)
         with np.load(io.BytesIO(body), allow_pickle=False) as archive:
-            _check_sizes(archive.zip)
+            _check_entries(archive.zip)
             arrays = {name: archive[name] for name in archive.files}
-        header = json.loads(arrays.pop("header").tobytes().decode())
+        header = _header(arrays.pop("header"))
     except SealError:
         raise
     # Intact seal, foreign content: whatever the parsers make of it, it is not one of our files.
@@ -86,17 +89,53 @@ def _check_contents(body: bytes) -> None:
         raise SealError(f"its table of contents has {size} bytes, more than {LARGEST_CONTENTS}")
 
 
-def _check_sizes(archive: zipfile.ZipFile) -> None:
-    """Refuse what unpacks to too much, before a byte of it is unpacked."""
-    if sum(entry.file_size for entry in archive.infolist()) > LARGEST:
+def _check_entries(archive: zipfile.ZipFile) -> None:
+    """Refuse what `seal` never writes, before a byte of an array is unpacked: names, sizes, kinds of numbers."""
+    entries = archive.infolist()
+    if sum(entry.file_size for entry in entries) > LARGEST:
         raise SealError(f"it unpacks to more than {LARGEST} bytes")
-    for name in archive.namelist():
-        with archive.open(name) as entry:
-            version = np.lib.format.read_magic(entry)
+    names = [entry.filename for entry in entries]
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise SealError(f"it holds {twice!r} more than once")
+    if "header.npy" not in names:
+        raise SealError("it is sealed, but has no header")
+    for entry in entries:
+        if not _NAME.fullmatch(entry.filename):
+            raise SealError(f"it holds {entry.filename!r}, which is no name of an array")
+        if entry.compress_type != zipfile.ZIP_STORED:
+            raise SealError(f"{entry.filename} is compressed, as no file of ours is")
+        with archive.open(entry) as file:
+            version = np.lib.format.read_magic(file)
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, _, dtype = read(entry)
-        if math.prod(shape) * dtype.itemsize > LARGEST:
+            shape, _, dtype = read(file)
+            left = entry.file_size - file.tell()
+        if dtype.kind not in _KINDS or dtype.itemsize == 0:
+            raise SealError(f"{entry.filename} is an array of {dtype}, not of numbers or words")
+        size = math.prod(shape) * dtype.itemsize
+        if size > LARGEST or max(shape, default=0) > LARGEST:
             raise SealError(f"an array in it claims to have more than {LARGEST} bytes")
+        if size != left:
+            raise SealError(f"{entry.filename} claims {size} bytes and has {left}")
+
+
+def _header(text: np.ndarray) -> Any:
+    """The header's table; a key that stands twice in it, or a number that is none, is refused."""
+    if text.dtype != np.uint8 or text.ndim != 1:
+        raise SealError("its header is no text")
+    return json.loads(text.tobytes().decode(), object_pairs_hook=_once, parse_constant=_refused)
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) != len(pairs):
+        keys = [key for key, _ in pairs]
+        raise SealError(f"its header has the key {next(key for key in keys if keys.count(key) > 1)!r} twice")
+    return table
+
+
+def _refused(word: str) -> Any:
+    raise SealError(f"its header holds {word}, which is no number of JSON")
 
 
 def write_atomic(path: Path, data: bytes) -> None:

@@ -211,7 +211,7 @@ def test_the_cascades_alone_have_no_guard(tmp_path, arguments):
 def test_each_wrong_array_has_its_sentence(opened, name):
     good = opened[1][name]
     refused(opened, rf"{name} = an array of shape \(6, 3\)", **{name: good[:, :3]})
-    refused(opened, f"{name} = an array of <U", **{name: good.astype(str)})
+    refused(opened, f"its array {name} is of <U", **{name: good.astype(str)})
     refused(opened, f"{name} = not finite somewhere", **{name: np.where(good == good[2, 1], np.nan, good)})
     changed = good.copy()
     changed[3, 1] += 1e-6

@@ -2,22 +2,30 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 from deploy.controller.file import to_bytes
 from deploy.controller.freeze import freeze
+from deploy.controller.recomputed_margins import margins_at
 from jaxmpc.cli import main
 from tests.deploy import made
 
 
+def with_margins(artifact):
+    """The same with the margins that its gains really have, and a floor that they keep."""
+    rows = [margins_at(artifact, row["stiffness"]) for row in artifact.margins]
+    return replace(artifact, margins=rows, floor={"M_s": 2.0 if max(row["M_s"] for row in rows) < 2.0 else 5.0})
+
+
 def test_good_artifact(arguments, tmp_path, capsys):
     path = tmp_path / "controller.npz"
-    freeze(path, **arguments)
+    path.write_bytes(to_bytes(with_margins(freeze(path, **arguments))))
     assert main(["check", str(path)]) == 0
     out = capsys.readouterr().out
     assert hashlib.sha256(path.read_bytes()).hexdigest() in out
-    for words in ("intact", "1900", "M_s", "inf", "≤ 2", "≥ 6", "< 1", "12 samples replayed", "µs", "Khat_s 900"):
+    for words in ("intact", "1900", "M_s", "≤ 5", "< 1", "12 samples replayed", "µs", "Khat_s 900", ": the same"):
         assert words in out
     assert "kind        linear, replay only" in out
     assert "robot" not in out
@@ -25,7 +33,7 @@ def test_good_artifact(arguments, tmp_path, capsys):
 
 def test_good_artifact_of_an_arm(arm_artifact, tmp_path, capsys):
     path = tmp_path / "controller.npz"
-    path.write_bytes(to_bytes(arm_artifact))
+    path.write_bytes(to_bytes(with_margins(arm_artifact)))
     assert main(["check", str(path)]) == 0
     out = capsys.readouterr().out
     assert "gain        not guarded" in out
@@ -39,11 +47,42 @@ def test_good_artifact_of_an_arm(arm_artifact, tmp_path, capsys):
 
 def test_good_artifact_with_a_guard(tmp_path, capsys):
     path, gains = tmp_path / "controller.npz", made.guarded_gains()
-    path.write_bytes(to_bytes(made.arm_artifact(6, gains=gains)))
+    path.write_bytes(to_bytes(with_margins(made.arm_artifact(6, gains=gains))))
     assert main(["check", str(path)]) == 0
     said = capsys.readouterr().out
     assert "gain        guarded: falls when the force swings by some 0.2 N (RMS), or by 0.035 N for long" in said
     assert "or when the limits hold back 5 m/s²" in said
+
+
+@pytest.mark.parametrize(
+    ("key", "declared"),
+    [
+        ("M_s", 1.0),
+        ("M_s", 4.3),
+        ("gain_margin_db", 17.0),
+        ("gain_reduction_db", 20.0),
+        ("phase_margin_deg", 60.0),
+        ("delay_margin_s", 2e-3),
+        ("spectral_radius", 0.9),
+    ],
+)
+def test_margins_that_the_gains_do_not_have_are_told(arm_artifact, tmp_path, capsys, key, declared):
+    path = tmp_path / "controller.npz"
+    true = with_margins(arm_artifact)
+    path.write_bytes(to_bytes(replace(true, margins=[true.margins[0] | {key: declared}, *true.margins[1:]])))
+    assert main(["check", str(path)]) == 1
+    said = capsys.readouterr()
+    assert "they DIFFER" in said.out
+    assert f"    {key} at 375 N/m: declared " in said.out
+    assert "its margins are not those of its gains" in said.err
+    assert said.err.count("\n") == 1
+
+
+def test_an_unstable_loop_that_is_declared_stable_is_told(arm_artifact, tmp_path, capsys):
+    path = tmp_path / "controller.npz"
+    path.write_bytes(to_bytes(replace(with_margins(arm_artifact), margins=[made.margin_row(20_000.0)])))
+    assert main(["check", str(path)]) == 1
+    assert "spectral_radius at 20000 N/m: declared 0.98, computed 1." in capsys.readouterr().out
 
 
 def test_a_reader_who_has_had_enough_is_no_failure(arguments, tmp_path):

@@ -3,9 +3,11 @@ from itertools import product
 import pytest
 
 from deploy.safety.machine import (
+    ARMED_PATIENCE,
     BRIDGED,
     CONTACT_CYCLES,
     HELD,
+    IDLE_PATIENCE,
     Observations,
     OperatingState,
     SafetyState,
@@ -16,7 +18,7 @@ from deploy.safety.machine import (
 from deploy.safety.reasons import EXPLANATION, Reason
 
 UP = {
-    OperatingState.IDLE: {OperatingState.ARMED},
+    OperatingState.IDLE: {OperatingState.ARMED, OperatingState.STOPPED, OperatingState.FAULT},
     OperatingState.ARMED: {OperatingState.APPROACH, OperatingState.STOPPED, OperatingState.FAULT},
     OperatingState.APPROACH: {OperatingState.CONTACT, OperatingState.RETRACT, OperatingState.FAULT},
     OperatingState.CONTACT: {OperatingState.RETRACT, OperatingState.FAULT},
@@ -43,8 +45,8 @@ def everything():
     for hazard, age, danger, doubt, finish in product(
         hazards, ages, (NONE, Reason.WORKSPACE, Reason.LATE), (NONE, Reason.FORCE_LOST), (NONE, Reason.OPERATOR)
     ):
-        for active, touching, travelled, armed, start in product(bits, repeat=5):
-            yield Observations(hazard, age, danger, doubt, "", active, touching, travelled, armed, start, finish)
+        for active, touching, travelled, armed, start, abort in product(bits, repeat=6):
+            yield Observations(hazard, age, danger, doubt, "", active, touching, travelled, armed, start, finish, abort)
 
 
 def test_only_the_arrows_are_walked_whatever_is_seen():
@@ -82,7 +84,6 @@ def test_a_touch_must_last():
 
 def test_nothing_begins_without_the_operator_the_pendant_and_every_position():
     assert walk(Observations(armed=False)).state is OperatingState.IDLE
-    assert walk(Observations(hazard=Reason.E_STOP)).state is OperatingState.IDLE
     assert walk(Observations(position_age=1)).state is OperatingState.IDLE
     armed = SafetyState(OperatingState.ARMED)
     assert step(armed, Observations(active=False)).state is OperatingState.ARMED
@@ -105,8 +106,55 @@ def test_a_hazard_lets_go_within_the_cycle_and_never_comes_back(state, hazard):
     assert (now.state, now.reason, now.detail) == (OperatingState.FAULT, hazard, "puck 3")
     assert task_of(now, 0) is Task.OFF
     later = [step(now, seen) for seen in everything()]
-    assert all(each[:3] == now[:3] or each.reason is Reason.LATE for each in later)
-    assert all(task_of(each, 0) is Task.OFF for each in later)
+    causes = {hazard} | ({Reason.LATE, Reason.E_STOP, Reason.STALLED} if hazard is Reason.POSITION_LOST else set())
+    assert {each.reason for each in later} == causes
+    assert all(each.state is OperatingState.FAULT and task_of(each, 0) is Task.OFF for each in later)
+
+
+@pytest.mark.parametrize("state", [each for each in OperatingState if each is not OperatingState.FAULT])
+@pytest.mark.parametrize("reason", [each for each in Reason if each is not NONE])
+@pytest.mark.parametrize("asked", [NONE, Reason.OPERATOR])
+def test_every_state_looks_at_every_hazard_danger_doubt_and_at_the_operator(state, reason, asked):
+    for abort in (False, True):
+        for kind in ("hazard", "danger", "doubt"):
+            seen = Observations(finish=asked, abort=abort)._replace(**{kind: reason})
+            now = step(SafetyState(state), seen)
+            if state in (OperatingState.RETRACT, OperatingState.STOPPED) and kind == "doubt" and not abort:
+                continue  # the force ends contact, and there is none
+            assert now.state is not state or state is OperatingState.STOPPED
+            assert now.reason is not NONE or state is OperatingState.STOPPED
+            assert now.reason in (reason, asked, Reason.OPERATOR) or state is OperatingState.STOPPED
+            assert task_of(now, 0) is Task.OFF or not (abort or state is OperatingState.IDLE)
+
+
+@pytest.mark.parametrize("state", OperatingState)
+def test_the_second_signal_lets_go_in_every_state(state):
+    now = step(
+        SafetyState(state, Reason.WORKSPACE if state is OperatingState.FAULT else NONE), READY._replace(abort=True)
+    )
+    assert now.over
+    assert task_of(now, 0) is Task.OFF
+    assert task_of(step(now, READY), 0) is Task.OFF
+
+
+def test_what_is_waited_for_in_vain_ends():
+    for state, patience, seen in (
+        (OperatingState.IDLE, IDLE_PATIENCE, Observations(armed=False)),
+        (OperatingState.IDLE, IDLE_PATIENCE, Observations(position_age=BRIDGED)),
+        (OperatingState.ARMED, ARMED_PATIENCE, Observations(active=False)),
+        (OperatingState.ARMED, ARMED_PATIENCE, READY._replace(start=False)),
+    ):
+        assert step(SafetyState(state, cycles=patience - 2), seen).state is state
+        now = step(SafetyState(state, cycles=patience - 1), seen)
+        assert (now.state, now.reason) == (OperatingState.STOPPED, Reason.NOT_STARTED)
+        assert (task_of(now, 0) is Task.OFF) == (state is OperatingState.IDLE)
+
+
+def test_who_was_silent_besides_is_told_while_the_arm_is_let_go():
+    lost = step(SafetyState(OperatingState.CONTACT), READY._replace(hazard=Reason.POSITION_LOST, detail="no puck"))
+    now = step(lost, READY._replace(hazard=Reason.POSITION_LOST, detail="nobody"))
+    assert (now.reason, now.detail) == (Reason.POSITION_LOST, "nobody")
+    assert step(now, READY._replace(hazard=Reason.E_STOP)).reason is Reason.E_STOP
 
 
 def test_lost_positions_that_turn_out_late_are_called_so_and_change_nothing():

@@ -3,9 +3,11 @@
 import pytest
 
 from deploy.bus.bus import Bus
+from deploy.errors import BusError
 from deploy.loop.cycle import OperatorCommand
 from deploy.loop.session import Options, Session
 from deploy.puck.codec import unpack_torques
+from deploy.puck.frame import Frame
 from deploy.reference.segments import from_words
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
@@ -104,6 +106,22 @@ def test_a_watchdog_that_has_acted_or_is_gone_lets_go_at_once(run, reason):
     assert watchdog.driven == []
     assert [on for _, on in watchdog.beats[:AT]] == [True] * AT
     assert not any(on for _, on in watchdog.beats[-20:])
+
+
+def test_who_was_forestalled_while_the_operator_was_waited_for_sends_nothing_and_stops_nobody():
+    clock = LockstepClock(Twin(TwinSettings(motion=motion_named("none"))))
+    options = Options(from_words("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False)
+    session = Session(arm_artifact(), Bus(LockstepBus(clock), clock.now), clock, options, lambda sentence: None)
+    first = Bus(LockstepBus(clock), clock.now)
+    first.send(Frame(0x404, b"\x30"))
+    clock.wait_until(clock.now() + 5_000_000)
+    first.flush()
+    received, hosts = clock.twin.counters["received"], first.counters.hosts
+    with pytest.raises(BusError, match="somebody else commands"):
+        session.run(OperatorCommand(True, True), None, lambda result: OperatorCommand(True, True))
+    assert clock.twin.counters["received"] == received
+    first.flush()
+    assert first.counters.hosts == hosts
 
 
 def test_a_defect_of_the_program_lets_go_before_it_is_told(run):

@@ -1,0 +1,67 @@
+"""The first signal asks, the second ends the process within its grace, whatever hangs."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from deploy.loop.signals import GRACE, EndingSignals
+
+HANGS = {
+    "sleeps": "while True:\n    time.sleep(10.0)",
+    "spins": "while True:\n    pass",
+    "waits for a lock": "lock = threading.Lock(); lock.acquire(); lock.acquire()",
+    "swallows": "while True:\n    try:\n        time.sleep(10.0)\n    except BaseException:\n        pass",
+}
+PROGRAM = """
+import threading, time
+from deploy.loop.signals import EndingSignals
+with EndingSignals() as signals:
+    signals.begin()
+    print("up", flush=True)
+"""
+
+
+def started(body):
+    source = PROGRAM + "".join(f"    {line}\n" for line in body.splitlines())
+    child = subprocess.Popen([sys.executable, "-c", source], stdout=subprocess.PIPE, text=True)
+    assert child.stdout.readline() == "up\n"
+    time.sleep(0.2)
+    return child
+
+
+@pytest.mark.parametrize("second", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("hang", HANGS)
+def test_the_second_signal_ends_a_process_that_hangs(hang, second):
+    child = started(HANGS[hang])
+    try:
+        child.send_signal(signal.SIGINT)
+        time.sleep(0.2)
+        assert child.poll() is None  # the first one only asks
+        at = time.monotonic()
+        child.send_signal(second)
+        assert child.wait(GRACE + 5.0) == -signal.SIGALRM
+        assert time.monotonic() - at < GRACE + 1.0
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def test_before_the_loop_the_first_signal_ends_the_program():
+    with pytest.raises(KeyboardInterrupt), EndingSignals():
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_in_the_loop_signals_are_counted_and_afterwards_all_is_as_before():
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    with EndingSignals() as signals:
+        signals.begin()
+        signal.raise_signal(signal.SIGINT)
+        assert signals.count == 1
+        signal.raise_signal(signal.SIGTERM)
+        assert signals.count == 2
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 0.0
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before

@@ -1,0 +1,57 @@
+"""Margins that the robot computes from the gains alone, against those of the design."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.controller.recomputed_margins import differences, margins_at
+from jaxmpc import Experiment, Params, margins
+from jaxmpc.export.freezing import freeze_controller
+from jaxmpc.quantities import MARGINS
+
+
+@pytest.fixture(scope="module")
+def frozen(tmp_path_factory):
+    """An artifact by parameters, experiment and whether the damping is ideal."""
+
+    def freeze(params, experiment="table-1-wam", ideal=False, **changes):
+        path = tmp_path_factory.mktemp("frozen") / "controller.npz"
+        chosen = replace(Params.published(params), **changes) if changes else Params.published(params)
+        return freeze_controller(path, chosen, Experiment.published(experiment), {"M_s": 50.0}, ideal=ideal)
+
+    return freeze
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(
+    ("params", "experiment", "ideal"),
+    [
+        ("cautious", "table-1-wam", False),
+        ("text", "table-1-wam", False),
+        ("text", "table-1", True),
+        ("cautious", "table-1", False),
+    ],
+)
+def test_they_are_those_of_the_design(frozen, params, experiment, ideal):
+    artifact = frozen(params, experiment, ideal)
+    assert differences(artifact) == []
+    for row in artifact.margins[:: max(1, len(artifact.margins) // 6)]:
+        again = margins_at(artifact, row["stiffness"])
+        for key in set(MARGINS) - {"delay_margin_s"}:
+            assert again[key] == pytest.approx(row[key], rel=1e-4), (key, row["stiffness"])
+
+
+@pytest.mark.oracle
+def test_on_any_stiffness_they_are_those_of_the_public_function(frozen):
+    artifact = frozen("text")
+    for stiffness in np.geomspace(60.0, 9000.0, 12).tolist():
+        design, again = margins(Params.published("text"), stiffness), margins_at(artifact, stiffness)
+        assert again["spectral_radius"] == pytest.approx(float(design.spectral_radius), rel=1e-6)
+        assert again["M_s"] == pytest.approx(float(design.M_s), rel=1e-3)
+
+
+def test_a_frozen_controller_has_the_margins_that_it_declares(cautious):
+    assert differences(cautious) == []
+    worse = [row | {"M_s": row["M_s"] - 0.05} for row in cautious.margins]
+    assert len(differences(replace(cautious, margins=worse))) == len(worse)
