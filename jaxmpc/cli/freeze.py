@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"frozen: {args.output} ({args.output.stat().st_size} bytes), K_s {len(artifact.margins)} values, {loop}")
     print(f"worst M_s {worst:.3f}, floor {artifact.floor}")
     if artifact.arm is not None:
-        print(f"drives a {artifact.arm.robot}, never beyond {artifact.arm.limits.force:g} N on the tissue")
+        limit = artifact.arm.limits.force
+        print(f"drives a {artifact.arm.robot}; a force above {limit:g} N ends the run (docs/robot.md)")
     print(f"`jaxmpc check {args.output}` replays it anywhere")
     return 0

@@ -12,7 +12,13 @@ import pytest
 
 from deploy.twin.server import MOST_CLIENTS
 
-CODE = "import sys; from jaxmpc import cli; sys.exit(cli.main(sys.argv[1:]))"
+CODE = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_NOFILE, (int(sys.argv[1]), resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+from jaxmpc import cli
+sys.exit(cli.main(sys.argv[2:]))
+"""
+"""The twin with so many descriptors: it sets its limit itself, since a fork under JAX's threads may hang."""
 
 
 @pytest.fixture
@@ -20,14 +26,12 @@ def start():
     running = []
 
     def started(descriptors):
-        limit = (descriptors, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
         process = subprocess.Popen(
-            [sys.executable, "-u", "-c", CODE, "twin", "--port", "0", "--rhythm", "none"],
+            [sys.executable, "-u", "-c", CODE, str(descriptors), "twin", "--port", "0", "--rhythm", "none"],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, limit),
         )
         running.append(process)
         port = next(int(found[1]) for line in process.stdout if (found := re.search(r"port=(\d+)", line)))
