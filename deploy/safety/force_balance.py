@@ -67,7 +67,7 @@ def balance_step(
     reading = state.reading
     if force is not None:
         share = min(BANDWIDTH * T_s, 1.0)
-        reading = tuple(old + share * (new - old) for old, new in zip(reading, force, strict=True))  # type: ignore[assignment]
+        reading = tuple(old + share * (new - old) for old, new in zip(reading, force, strict=True))  # type: ignore[assignment]  # three as before
     apart = tuple(told - read for told, read in zip(estimate, reading, strict=True))
     push = -sum(n * each for n, each in zip(normal, apart, strict=True))
     aside = max(abs(each + push * n) for n, each in zip(normal, apart, strict=True))

@@ -40,8 +40,6 @@ MEMORY = 0.02
 """Time constant of the mean squares [s]."""
 LIMIT = 0.2
 """S, root mean square of h about no slow error at which the gain falls half as fast as it can [N]."""
-SLOWER = 1.0
-"""Share of slower error that is no swing [-]: what follows a premature beat has as much of it as of h."""
 NOTICED = 0.035
 """N, root mean square of h that makes half a share [N]: sensor noise alone has 0.015; 0.1 N has 0.05 at 25 Hz."""
 PATIENCE = 0.5
@@ -179,7 +177,7 @@ def step(guard: GainBackoff, state: BackoffState, error: Vector, ops: Ops, dithe
     seen = seen / (1.0 + seen + guard.attention * (drift / 300.0 + heard / 10.0))
     share = state.share + guard.patience * (seen - state.share)
 
-    large = guard.sensitivity * swing / (1.0 + SLOWER * guard.sensitivity * (drift + heard))
+    large = guard.sensitivity * swing / (1.0 + guard.sensitivity * (drift + heard))
     # e/(1 + e) from its root's, so that no power of a force that runs away overflows.
     root = large * large / (1.0 + large * large)
     at_once = guard.pace * root * root / (1.0 - 2.0 * root * (1.0 - root))

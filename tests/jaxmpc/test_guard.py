@@ -67,7 +67,7 @@ def test_the_gain_is_that_of_scipys_filters() -> None:
     seen = swing / (a.NOTICED**2 + swing + drift / 300.0)
     share = scipy.signal.lfilter([T_S / a.PATIENCE], [1.0, T_S / a.PATIENCE - 1.0], seen)
     overload = scipy.signal.lfilter([alpha], [1.0, alpha - 1.0], held_back / (a.HELD_BACK**2 + held_back))
-    large, lasting = (swing / (a.LIMIT**2 + a.SLOWER * drift)) ** 4, (share / a.INSISTENT) ** 16
+    large, lasting = (swing / (a.LIMIT**2 + drift)) ** 4, (share / a.INSISTENT) ** 16
     g = m = c = 1.0
     expected = []
     for e, f, over_it in zip(large, lasting, (2.0 * overload) ** 4, strict=True):
