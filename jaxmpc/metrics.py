@@ -9,27 +9,32 @@ Lane = Any
 """A scalar, or one per lane."""
 
 
-class Totals(NamedTuple):
-    """Sums and extremes over the samples that count."""
+class Sums(NamedTuple):
+    """Sums over samples."""
 
     error_squared: Lane
-    highest_error: Lane
-    lowest_error: Lane
     true_squared: Lane
-    highest_true: Lane
-    lowest_true: Lane
     acceleration_squared: Lane
     change_squared: Lane
-    highest_force: Lane
-    """Over all samples, also those that do not count [N]."""
-    largest_error: Lane
-    """The same of |error| [N]."""
     swing_squared: Lane
     """Over the end of the run alone, whatever counts [N²]."""
 
 
+class Extremes(NamedTuple):
+    """Extremes over the samples that count."""
+
+    highest_error: Lane
+    lowest_error: Lane
+    highest_true: Lane
+    lowest_true: Lane
+    highest_force: Lane
+    """Over all samples, also those that do not count [N]."""
+    largest_error: Lane
+    """The same of |error| [N]."""
+
+
 class JointTotals(NamedTuple):
-    """The same of the joints, which all axes share."""
+    """What the joints met, which all axes share."""
 
     clamped: Lane
     """Number of all samples at which a torque limit acted."""
@@ -69,11 +74,17 @@ class Metrics(NamedTuple):
     asked for it."""
 
 
-def nothing(like: Lane) -> Totals:
-    """Totals before the first sample."""
+def no_sums(like: Lane) -> Sums:
+    """Sums before the first sample."""
+    zero = 0.0 * like
+    return Sums(zero, zero, zero, zero, zero)
+
+
+def no_extremes(like: Lane) -> Extremes:
+    """Extremes before the first sample."""
     zero = 0.0 * like
     low, high = zero - inf, zero + inf
-    return Totals(zero, low, high, zero, low, high, zero, zero, zero, zero, zero)
+    return Extremes(low, high, low, high, zero, zero)
 
 
 def no_joints(like: Lane) -> JointTotals:
@@ -83,7 +94,8 @@ def no_joints(like: Lane) -> JointTotals:
 
 
 def add(
-    totals: Totals,
+    sums: Sums,
+    extremes: Extremes,
     counts: Any,
     error: Lane,
     true_error: Lane,
@@ -92,11 +104,12 @@ def add(
     force: Lane,
     swing: Lane,
     ops: Any,
-) -> Totals:
-    """Totals with one more sample.
+) -> tuple[Sums, Extremes]:
+    """Sums and extremes with one more sample.
 
     Args:
-        totals: So far.
+        sums: So far.
+        extremes: So far.
         counts: Whether this sample counts.
         error: Measured minus wanted force [N].
         true_error: True minus wanted force [N].
@@ -107,18 +120,19 @@ def add(
         ops: Scalar functions.
     """
     weight = ops.where(counts, 1.0, 0.0)
-    return Totals(
-        totals.error_squared + weight * error * error,
-        ops.where(counts, ops.maximum(totals.highest_error, error), totals.highest_error),
-        ops.where(counts, ops.minimum(totals.lowest_error, error), totals.lowest_error),
-        totals.true_squared + weight * true_error * true_error,
-        ops.where(counts, ops.maximum(totals.highest_true, true_error), totals.highest_true),
-        ops.where(counts, ops.minimum(totals.lowest_true, true_error), totals.lowest_true),
-        totals.acceleration_squared + weight * a * a,
-        totals.change_squared + weight * change * change,
-        ops.maximum(totals.highest_force, abs(force)),
-        ops.maximum(totals.largest_error, abs(error)),
-        totals.swing_squared + swing * swing,
+    return Sums(
+        sums.error_squared + weight * error * error,
+        sums.true_squared + weight * true_error * true_error,
+        sums.acceleration_squared + weight * a * a,
+        sums.change_squared + weight * change * change,
+        sums.swing_squared + swing * swing,
+    ), Extremes(
+        ops.where(counts, ops.maximum(extremes.highest_error, error), extremes.highest_error),
+        ops.where(counts, ops.minimum(extremes.lowest_error, error), extremes.lowest_error),
+        ops.where(counts, ops.maximum(extremes.highest_true, true_error), extremes.highest_true),
+        ops.where(counts, ops.minimum(extremes.lowest_true, true_error), extremes.lowest_true),
+        ops.maximum(extremes.highest_force, abs(force)),
+        ops.maximum(extremes.largest_error, abs(error)),
     )
 
 
@@ -140,35 +154,20 @@ def add_joints(totals: JointTotals, counts: Any, clamped: Lane, wanted: Any, bef
     return JointTotals(totals.clamped + clamped, largest, step)
 
 
-def merge(first: Totals, second: Totals, ops: Any) -> Totals:
-    """Totals of two stretches of time; summing stretch by stretch keeps float32 sums exact to 1e-6."""
-    return Totals(
-        first.error_squared + second.error_squared,
-        ops.maximum(first.highest_error, second.highest_error),
-        ops.minimum(first.lowest_error, second.lowest_error),
-        first.true_squared + second.true_squared,
-        ops.maximum(first.highest_true, second.highest_true),
-        ops.minimum(first.lowest_true, second.lowest_true),
-        first.acceleration_squared + second.acceleration_squared,
-        first.change_squared + second.change_squared,
-        ops.maximum(first.highest_force, second.highest_force),
-        ops.maximum(first.largest_error, second.largest_error),
-        first.swing_squared + second.swing_squared,
-    )
+def merge(first: Sums, second: Sums) -> Sums:
+    """Sums of two stretches of time; summing stretch by stretch keeps float32 sums exact to 1e-6."""
+    return Sums(*(one + other for one, other in zip(first, second, strict=True)))
 
 
-def merge_joints(first: JointTotals, second: JointTotals, ops: Any) -> JointTotals:
-    """The same of the joints."""
-    largest = ops.maximum(first.torque, second.torque), ops.maximum(first.step, second.step)
-    return JointTotals(first.clamped + second.clamped, *largest)
-
-
-def metrics(totals: Totals, samples: Lane, steps: Lane, late: Lane | None, joints: JointTotals, ops: Any) -> Metrics:
+def metrics(
+    sums: Sums, extremes: Extremes, samples: Lane, steps: Lane, late: Lane | None, joints: JointTotals, ops: Any
+) -> Metrics:
     """Metrics of a finished run.
 
     Args:
-        totals: Over the run.
-        samples: How many samples counted; broadcasts against the totals.
+        sums: Over the run.
+        extremes: Over the run.
+        samples: How many samples counted; broadcasts against the sums.
         steps: How many samples there were.
         late: How many of them were of the end of the run; None if nobody asked how the force swings.
         joints: Over the run.
@@ -181,16 +180,16 @@ def metrics(totals: Totals, samples: Lane, steps: Lane, late: Lane | None, joint
         return ops.where(mean > 0.0, ops.sqrt(ops.where(mean > 0.0, mean, 1.0)), mean)
 
     return Metrics(
-        rms=root_mean(totals.error_squared),
-        peak_to_peak=totals.highest_error - totals.lowest_error,
-        true_rms=root_mean(totals.true_squared),
-        true_peak_to_peak=totals.highest_true - totals.lowest_true,
-        effort=root_mean(totals.acceleration_squared),
-        chatter=root_mean(totals.change_squared),
-        peak_force=totals.highest_force,
-        peak_error=ops.maximum(totals.highest_error, -totals.lowest_error),
+        rms=root_mean(sums.error_squared),
+        peak_to_peak=extremes.highest_error - extremes.lowest_error,
+        true_rms=root_mean(sums.true_squared),
+        true_peak_to_peak=extremes.highest_true - extremes.lowest_true,
+        effort=root_mean(sums.acceleration_squared),
+        chatter=root_mean(sums.change_squared),
+        peak_force=extremes.highest_force,
+        peak_error=ops.maximum(extremes.highest_error, -extremes.lowest_error),
         clamped=joints.clamped / steps,
         joint_torque=joints.torque,
         torque_step=joints.step,
-        swing=totals.swing_squared + nan if late is None else root_mean(totals.swing_squared, late),
+        swing=sums.swing_squared + nan if late is None else root_mean(sums.swing_squared, late),
     )

@@ -5,36 +5,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from jaxmpc import swing
+from jaxmpc.engine.episode import ArmEpisode, ArmLane, ArmRun, on_tissues
 from jaxmpc.engine.linear_scan import over_stretches
 from jaxmpc.law.gains import Gains
-from jaxmpc.loop.arm import (
-    ArmCarry,
-    ArmLoop,
-    ArmSample,
-    ArmSignals,
-    Cell,
-    Trouble,
-    advance,
-    noticed,
-    start,
-    untroubled,
-)
-from jaxmpc.metrics import (
-    JointTotals,
-    Metrics,
-    Totals,
-    add,
-    add_joints,
-    merge,
-    merge_joints,
-    metrics,
-    no_joints,
-    nothing,
-)
-from jaxmpc.world.robot import HeartSample, Robot
+from jaxmpc.loop.arm import ArmLoop, ArmSample, ArmSignals, Cell, Trouble
+from jaxmpc.metrics import Metrics, metrics
+from jaxmpc.world.robot import Robot
 from jaxmpc.xla import ops
 
 Transform = Callable[[Callable[..., Any], Any], Callable[..., Any]]
@@ -78,12 +56,8 @@ def over_arm_cells(
     def everywhere(value: Any) -> Any:
         return jnp.broadcast_to(value, shape)
 
-    def over_controllers(leaf: Any) -> Any:
-        return jnp.reshape(leaf, (*jnp.shape(leaf), *(1,) * (3 - jnp.ndim(leaf)))) if jnp.ndim(leaf) else leaf
-
-    robot = jax.tree.map(over_controllers, robot)
-    on_tissues = robot._replace(tissue=robot.tissue._replace(stiffness=everywhere(stiffness[..., None])))
-    cells = Cell(jax.tree.map(everywhere, gains), everywhere(K2), on_tissues)
+    touching = on_tissues(robot, everywhere(stiffness[..., None]))
+    cells = Cell(jax.tree.map(everywhere, gains), everywhere(K2), touching)
     # Every operation is elementwise, so arrays may stand for the scalars of the law; vmap traces three times longer.
     met = jax.tree.map(lambda signal: jnp.moveaxis(signal, 0, -1)[..., None, None], signals)
     found, trouble, samples = run(loop, cells, met, force_limit, traced, transform)
@@ -108,70 +82,28 @@ def run(
 
     Each sample is one checkpoint of the reverse mode, which then holds the carry of every step and no more.
     """
+    judged, episode = signals.late is not None, ArmEpisode(loop)
+    lane = ArmLane(cell, force_limit, swing.high_pass(cell.robot.measurement.T_s, ops) if judged else None)
 
-    def sample_of(cell: Cell, state: Any, now: ArmSignals) -> tuple[Any, ArmSample]:
-        carry, passing, (totals, joints), trouble = state
-        following, sample = advance(loop, cell, carry, now, ops)
-        swinging, passing = swinging_of(passing, sample, now)
-        wanted = [ahead[0] for ahead in now.force_ref]
-        forces = totals, now.score, wanted, sample.force, sample.true_force
-        totals = tuple(
-            add(total, score > 0.0, force - ref, true - ref, a, a - before, force, above, ops)
-            for total, score, ref, force, true, a, before, above in zip(
-                *forces, sample.a, carry.a, swinging, strict=True
-            )
-        )
-        x, y, z = now.score
-        counts = x + y + z > 0.0
-        joints = add_joints(joints, counts, sample.clamped[0], sample.wanted, carry.wanted, ops)
-        trouble = noticed(trouble, sample, now, force_limit, ops)
-        return (following, passing, (totals, joints), trouble), sample
+    def sample_of(lane: ArmLane, state: ArmRun, now: ArmSignals) -> tuple[ArmRun, ArmSample]:
+        return episode.step(lane, state, now, ops)
 
-    def swinging_of(passing: Any, sample: ArmSample, now: ArmSignals) -> tuple[Any, Any]:
-        """What of the true force swings at the end of the run, and the filters moved on; nothing if nobody asked."""
-        if passing is None:
-            return (0.0,) * 3, None
-        moved = [swing.step(filtering, one, force) for one, force in zip(passing, sample.true_force, strict=True)]
-        passed, states = zip(*moved, strict=True)
-        return tuple(ops.where(now.late > 0.0, above, 0.0) for above in passed), states
-
-    def one(state: Any, raw: ArmSignals) -> tuple[Any, ArmSample | None]:
+    def one(state: ArmRun, raw: ArmSignals) -> tuple[ArmRun, ArmSample | None]:
         opaque = 1.0 + 0.0 * raw.time.ravel()[0]
-        following, sample = transform(sample_of, opaque)(cell, state, at_one_sample(raw))
+        following, sample = transform(sample_of, opaque)(lane, state, episode.taken_apart(raw))
         return following, sample._replace(force_ref=raw.force_ref) if traced else None
 
-    def stretch(state: Any, part: ArmSignals) -> tuple[Any, ArmSample | None]:
-        carry, passing, (totals, joints), trouble = state
-        begin = carry, passing, empty, trouble
-        (carry, passing, partial, trouble), samples = jax.lax.scan(jax.checkpoint(one), begin, part)
-        totals = tuple(merge(*pair, ops) for pair in zip(totals, partial[0], strict=True))
-        return (carry, passing, (totals, merge_joints(joints, partial[1], ops)), trouble), samples
+    def stretch(state: ArmRun, part: ArmSignals) -> tuple[ArmRun, ArmSample | None]:
+        state, samples = jax.lax.scan(jax.checkpoint(one), state, part)
+        return episode.fold(lane, state, ops), samples
 
-    zero, judged = 0.0 * cell.K2, signals.late is not None
-    filtering = swing.high_pass(cell.robot.measurement.T_s, ops)
-    empty: tuple[tuple[Totals, ...], JointTotals] = (nothing(zero),) * 3, no_joints(zero)
-    resting = (swing.rest(zero),) * 3 if judged else None
-    begin: tuple[ArmCarry, Any, Any, Trouble] = start(loop, cell, ops), resting, empty, untroubled(zero)
-    (_, _, (totals, joints), trouble), samples = over_stretches(stretch, begin, signals)
+    state, samples = over_stretches(stretch, episode.begin(lane, ops), signals)
+    sums, extremes, joints, trouble = episode.found(state)
     count, late = jnp.sum(signals.score, axis=0), jnp.sum(signals.late, axis=0) if judged else None
-    found = [metrics(total, count[i], len(signals.time), late, joints, ops) for i, total in enumerate(totals)]
+    axes, steps = zip(sums, extremes, count, strict=True), len(signals.time)
+    found = [metrics(added, most, counted, steps, late, joints, ops) for added, most, counted in axes]
     per_axis: Metrics = jax.tree.map(lambda *axes: jnp.stack(axes), *found)
     if not traced:
         return per_axis, trouble, None
     flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), samples)
     return per_axis, trouble, jax.tree.map(lambda *parts: jnp.concatenate(parts), *flat)
-
-
-def at_one_sample(now: ArmSignals) -> ArmSignals:
-    """The signals of a sample as the step takes them: tuples of scalars."""
-    return now._replace(
-        heart=_heart(now.heart),
-        between=tuple(map(_heart, now.between)),
-        noise=tuple(now.noise),
-        force_ref=tuple(map(tuple, now.force_ref)),
-        score=tuple(now.score),
-    )
-
-
-def _heart(values: Array) -> HeartSample:
-    return HeartSample(tuple(values[0]), tuple(values[1]))

@@ -6,17 +6,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from jaxmpc import swing
+from jaxmpc.engine.episode import STRETCH, AxisEpisode, AxisLane, AxisRun
 from jaxmpc.law.gains import Gains
-from jaxmpc.loop.linear import HIGHEST_ERROR, HIGHEST_FORCE, AxisSignals, LinearCarry, Sample, advance, start
-from jaxmpc.metrics import Metrics, Totals, add, merge, metrics, no_joints, nothing
+from jaxmpc.loop.linear import AxisSignals, LinearCarry, Sample, advance, start
+from jaxmpc.metrics import Metrics, metrics, no_joints
 from jaxmpc.world.contact import Contact
 from jaxmpc.xla import ops
-
-STRETCH = 125
-"""Samples between two checkpoints of the reverse mode and two partial sums of the metrics."""
 
 
 def over_cells(
@@ -53,42 +50,24 @@ def run(
 ) -> tuple[Metrics, Any, Any]:
     """Metrics of one axis over a whole experiment, and when it left 1 kN and its limits, ∞ if never [s].
 
-    Time runs in stretches: each is one checkpoint of the reverse mode and one partial sum, so that
-    gradients need the memory of √steps states and float32 sums keep their digits. A moment is told to one stretch: a
-    flag per sample would cost every run what only a lost one needs.
+    Each stretch is one checkpoint of the reverse mode, so that gradients need the memory of √steps states.
     """
+    judged, episode = signals.late is not None, AxisEpisode()
+    lane = AxisLane(gains, contact, lsb, force_limit, swing.high_pass(contact.T_s, ops) if judged else None)
 
-    def one(state: Any, now: AxisSignals) -> tuple[Any, None]:
-        carry, passing, totals = state
-        following, sample = advance(gains, contact, lsb, carry, at_one_sample(now), ops)
-        wanted, before = sample.force_ref[0], carry.contact.pending[0]
-        swinging: Any = 0.0
-        if passing is not None:
-            above, passing = swing.step(filtering, passing, sample.true_force)
-            swinging = ops.where(now.late, above, 0.0)
-        errors = sample.force - wanted, sample.true_force - wanted
-        totals = add(totals, now.score, *errors, sample.a, sample.a - before, sample.force, swinging, ops)
-        return (following, passing, totals), None
+    def one(state: AxisRun, now: AxisSignals) -> tuple[AxisRun, None]:
+        return episode.step(lane, state, episode.taken_apart(now), ops)[0], None
 
     @jax.checkpoint
-    def stretch(state: Any, part: AxisSignals) -> tuple[Any, Any]:
-        carry, passing, totals = state
-        (carry, passing, partial), _ = jax.lax.scan(jax.checkpoint(one), (carry, passing, empty), part)
-        within = (partial.highest_force < force_limit) & (partial.largest_error < HIGHEST_ERROR)
-        return (carry, passing, merge(totals, partial, ops)), (~(partial.highest_force < HIGHEST_FORCE), ~within)
+    def stretch(state: AxisRun, part: AxisSignals) -> tuple[AxisRun, None]:
+        return episode.fold(lane, jax.lax.scan(jax.checkpoint(one), state, part)[0], ops), None
 
-    def first(flags: Array) -> Array:
-        return jnp.where(jnp.any(flags), STRETCH * jnp.argmax(flags) * contact.T_s, jnp.inf)
-
-    zero = jnp.zeros_like(gains.mpc_u)
-    empty, filtering = nothing(zero), swing.high_pass(contact.T_s, ops)
-    judged = signals.late is not None
-    begin: tuple[LinearCarry, Any, Totals] = start(gains), swing.rest(zero) if judged else None, empty
-    (_, _, totals), flags = over_stretches(stretch, begin, signals)
-    diverged, over = (jnp.concatenate(parts) for parts in zip(*flags, strict=True))
+    state, _ = over_stretches(stretch, episode.begin(lane, ops), signals)
+    sums, extremes, diverged, over_limit = episode.found(state)
     late = jnp.sum(signals.late) if judged else None
-    found = metrics(totals, jnp.sum(signals.score), len(signals.heart), late, no_joints(zero), ops)
-    return found, first(diverged), first(over)
+    joints = no_joints(0.0 * gains.mpc_u)
+    found = metrics(sums, extremes, jnp.sum(signals.score), len(signals.heart), late, joints, ops)
+    return found, diverged, over_limit
 
 
 def over_stretches(stretch: Callable[..., Any], state: Any, signals: Any) -> tuple[Any, list[Any]]:
@@ -118,12 +97,7 @@ def record(gains: Gains, contact: Contact, lsb: Any, signals: AxisSignals) -> Sa
     """Every sample of one axis over a whole experiment, each field of shape (steps, …)."""
 
     def one(carry: LinearCarry, now: AxisSignals) -> tuple[LinearCarry, Sample]:
-        following, sample = advance(gains, contact, lsb, carry, at_one_sample(now), ops)
+        following, sample = advance(gains, contact, lsb, carry, AxisEpisode().taken_apart(now), ops)
         return following, sample._replace(force_ref=now.force_ref)
 
     return jax.lax.scan(one, start(gains), signals)[1]
-
-
-def at_one_sample(now: AxisSignals) -> AxisSignals:
-    """The signals of a sample as the step takes them: the reference ahead as scalars."""
-    return now._replace(force_ref=tuple(now.force_ref))

@@ -55,14 +55,14 @@ def _evaluate(closed: Any, arguments: Any, one: Any) -> list[Any]:
         inputs = [var for var in equation.invars if not isinstance(var, Literal)]
         cheap = equation.primitive.name in CHEAP
         total = 1 + sum(cost.get(var, 0) for var in inputs) if cheap else 0
-        for var, value in zip(equation.outvars, _bind(closed, equation, value_of), strict=True):
+        for var, value in zip(equation.outvars, bind(closed, equation, value_of), strict=True):
             values[var], cost[var] = value, total
             if total > COPIED and uses.get(var, 0) > 1 and jnp.issubdtype(value.dtype, jnp.floating):
                 values[var], cost[var] = value / one.astype(value.dtype), 0
     return [value_of(var) for var in jaxpr.outvars]
 
 
-def _bind(closed: Any, equation: Any, value_of: Callable[[Any], Any]) -> list[Any]:
+def bind(closed: Any, equation: Any, value_of: Callable[[Any], Any]) -> list[Any]:
     """One operation; by JAX's own evaluator if it holds a program, whose form is JAX's affair."""
     if any(isinstance(value, Jaxpr | type(closed)) for value in equation.params.values()):
         names = list(dict.fromkeys(var for var in equation.invars if not isinstance(var, Literal)))

@@ -1,0 +1,111 @@
+"""The engine for GPUs: every lane's whole episode in one kernel, only metrics leave it."""
+
+from math import inf
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from jaxmpc import swing
+from jaxmpc.engine.base import CellResults, Engine, Mode, ProgramSpec, ScenarioData, scalars
+from jaxmpc.engine.episode import ArmEpisode, ArmLane, AxisEpisode, AxisLane, on_tissues
+from jaxmpc.engine.lane_ops import lane_ops
+from jaxmpc.engine.lanes import packed, recorded
+from jaxmpc.engine.pallas_triton import Shape, run_episodes
+from jaxmpc.engine.scan import Scan
+from jaxmpc.law.gains import Gains
+from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell
+from jaxmpc.metrics import Metrics, metrics, no_joints
+from jaxmpc.world.arm import chain
+from jaxmpc.world.contact import Contact
+from jaxmpc.world.robot import accelerate
+from jaxmpc.xla import ops
+
+ARM, AXIS = Shape(64, 2), Shape(128, 1)
+"""Lanes and warps of a program of the arm, and of the linear loop (measured)."""
+
+
+class Kernel(Engine):
+    """One Pallas kernel around the same steps as the scan's; interpreted, and slow, where there is no GPU."""
+
+    name = "kernel"
+    modes: ClassVar[tuple[Mode, ...]] = ()
+    devices = ("gpu",)
+
+    def simulate(
+        self,
+        spec: ProgramSpec,
+        gains: Gains,
+        K2: Any,
+        contacts: Contact | None,
+        data: ScenarioData,
+        dtype: Any,
+        traced: bool = False,
+    ) -> CellResults:
+        """See `Engine.simulate`; samples, which a kernel does not keep, come from the scan."""
+        if traced:
+            return Scan().simulate(spec, gains, K2, contacts, data, dtype, traced)
+        apart = scalars(gains, spec.preview)
+        if spec.robot is None:
+            assert contacts is not None
+            return _axes(apart, contacts, data, dtype)
+        return _arm(spec, apart, K2, data, dtype)
+
+
+def _axes(gains: Gains, contacts: Contact, data: ScenarioData, dtype: Any) -> CellResults:
+    """The linear loop: a group is an axis."""
+    signals, judged = data.signals, data.signals.late is not None
+    contact = jax.tree.map(jnp.transpose, contacts)
+    lane = AxisLane(
+        gains,
+        contact,
+        jnp.reshape(data.lsb, (-1, 1, 1)),
+        data.force_limit,
+        swing.high_pass(contact.T_s, ops) if judged else None,
+    )
+    shape = len(signals.heart), *contact.T_s.shape
+    sums, extremes, diverged, over_limit = _run(AxisEpisode(), lane, shape, signals, AXIS, dtype)
+    scored, late = _per_group(signals.score), _per_group(signals.late) if judged else None
+    steps = signals.heart.shape[1]
+    found = metrics(sums, extremes, scored, steps, late, no_joints(0.0 * sums.error_squared), ops)
+    never = jnp.transpose(diverged) + inf
+    return CellResults(
+        jax.tree.map(jnp.transpose, found), jnp.transpose(diverged), jnp.transpose(over_limit), never, never, None
+    )
+
+
+def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: Any) -> CellResults:
+    """The arm: a group is a motion."""
+    assert spec.robot is not None
+    assert isinstance(data.signals, ArmSignals)
+    assert data.robot is not None
+    signals, judged = data.signals, data.signals.late is not None
+    cell = Cell(gains, K2, on_tissues(data.robot, jnp.asarray(data.stiffness)[..., None]))
+    high_pass = swing.high_pass(cell.robot.measurement.T_s, ops) if judged else None
+    lane = ArmLane(cell, data.force_limit, high_pass)
+    motions, steps = signals.time.shape
+    shape = motions, jnp.shape(data.stiffness)[-1], *jnp.shape(K2)
+    episode = ArmEpisode(ArmLoop(chain(), spec.robot, accelerate))
+    sums, extremes, joints, trouble = _run(episode, lane, shape, signals, ARM, dtype)
+    scored, late = jnp.sum(signals.score, axis=1), _per_group(signals.late) if judged else None
+    axes = zip(sums, extremes, jnp.moveaxis(scored, 1, 0)[..., None, None], strict=True)
+    each = [metrics(added, most, counted, steps, late, joints, ops) for added, most, counted in axes]
+
+    def per_cell(*fields: Any) -> Any:
+        return jnp.stack(jax.tree.map(jnp.transpose, fields), axis=-1).reshape(*shape[:0:-1], 3 * motions)
+
+    found: Metrics = jax.tree.map(per_cell, *each)
+    diverged, over_limit, lost_contact, backed_off = map(jnp.transpose, trouble)
+    return CellResults(found, diverged, over_limit, lost_contact, backed_off, None)
+
+
+def _run(episode: Any, lane: Any, shape: Any, signals: Any, cut: Shape, dtype: Any) -> Any:
+    precision = jnp.dtype(dtype)
+    constants, layout = packed(lane, shape, precision)
+    row, track = recorded(signals, precision)
+    interpret = jax.default_backend() == "cpu"
+    return run_episodes(episode, layout, track, lane_ops(precision), cut, constants, row, interpret=interpret)
+
+
+def _per_group(counts: Any) -> Any:
+    return jnp.sum(counts, axis=1)[:, None, None]

@@ -1,0 +1,122 @@
+"""Lanes of a batch as flat arrays: what many cells share is stored once, and each lane finds what is its own.
+
+A batch has three dimensions, (groups, tissues, controllers): a group shares its signals (a motion of the arm, an axis
+of the linear loop), and its tissues × controllers are its lanes. A leaf of a lane's constants that is the same along a
+dimension has length 1 there.
+"""
+
+from itertools import product
+from math import prod
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+Varying = tuple[bool, ...]
+"""Along which of the three dimensions a leaf varies."""
+KINDS: tuple[Varying, ...] = tuple(product((False, True), repeat=3))
+
+
+class Layout(NamedTuple):
+    """Where each leaf lies; hashable."""
+
+    tree: Any
+    """Structure of a lane's constants."""
+    shape: tuple[int, int, int]
+    """Groups, tissues, controllers."""
+    places: tuple[tuple[int, int], ...]
+    """Per leaf its kind, a place in `KINDS`, and its row in the array of that kind."""
+    rows: tuple[int, ...]
+    """How many leaves there are of each kind."""
+
+
+def packed(lane: Any, shape: tuple[int, int, int], dtype: Any) -> tuple[tuple[Any, ...], Layout]:
+    """Constants as one flat array per kind that occurs, and where each leaf is.
+
+    Args:
+        lane: Leaves broadcast against the shape, as numpy does.
+        shape: Groups, tissues, controllers.
+        dtype: Of the arrays.
+    """
+    leaves, tree = jax.tree.flatten(lane)
+    kinds: list[list[Any]] = [[] for _ in KINDS]
+    places = []
+    for leaf in leaves:
+        whole = jnp.reshape(leaf, (1,) * (3 - jnp.ndim(leaf)) + jnp.shape(leaf))
+        varies = tuple(there > 1 for there in whole.shape)
+        kind = KINDS.index(varies)
+        places.append((kind, len(kinds[kind])))
+        kinds[kind].append(jnp.ravel(whole).astype(dtype))
+    arrays = tuple(jnp.concatenate(rows) for rows in kinds if rows)
+    return arrays, Layout(tree, shape, tuple(places), tuple(map(len, kinds)))
+
+
+def unpacked(layout: Layout, arrays: Any, group: Any, lane: Any) -> Any:
+    """The constants of some lanes of a group.
+
+    Args:
+        layout: Of the arrays.
+        arrays: The flat arrays, indexable by an integer or several.
+        group: Which one.
+        lane: Which of its lanes, one integer or several.
+    """
+    controllers = layout.shape[2]
+    own = group, lane // controllers, lane % controllers
+    there = iter(arrays)
+    by_kind: list[Any] = [next(there) if rows else None for rows in layout.rows]
+    leaves = []
+    for kind, row in layout.places:
+        lengths = [n for n, varies in zip(layout.shape, KINDS[kind], strict=True) if varies]
+        place: Any = row * prod(lengths)
+        behind = prod(lengths)
+        for index, length in zip((own[i] for i in range(3) if KINDS[kind][i]), lengths, strict=True):
+            behind //= length
+            place = place + index * behind
+        leaves.append(by_kind[kind][place])
+    return jax.tree.unflatten(layout.tree, leaves)
+
+
+class Track(NamedTuple):
+    """How the signals of a sample lie in one row; hashable."""
+
+    tree: Any
+    shapes: tuple[tuple[int, ...], ...]
+    """Of each leaf at one sample."""
+    flags: tuple[bool, ...]
+    """Which leaves are truth values."""
+    steps: int
+    width: int
+    """Numbers of a sample."""
+
+
+def recorded(signals: Any, dtype: Any) -> tuple[Any, Track]:
+    """Signals as one flat array, groups × steps × numbers of a sample, and how they lie.
+
+    Args:
+        signals: Leaves (groups, steps, …).
+        dtype: Of the array.
+    """
+    leaves, tree = jax.tree.flatten(signals)
+    groups, steps = leaves[0].shape[:2]
+    columns = [jnp.reshape(leaf, (groups, steps, -1)).astype(dtype) for leaf in leaves]
+    flags = tuple(leaf.dtype == bool for leaf in leaves)
+    array = jnp.concatenate(columns, axis=-1)
+    track = Track(tree, tuple(leaf.shape[2:] for leaf in leaves), flags, steps, array.shape[-1])
+    return jnp.ravel(array), track
+
+
+def at_sample(track: Track, array: Any, group: Any, step: Any) -> Any:
+    """The signals of a sample: scalars, and for each dimension of a leaf a tuple."""
+    begin, leaves, column = (group * track.steps + step) * track.width, [], 0
+    for shape, flag in zip(track.shapes, track.flags, strict=True):
+        values = [array[begin + column + i] for i in range(prod(shape))]
+        column += len(values)
+        leaves.append(_nested([value > 0 for value in values] if flag else values, shape))
+    return jax.tree.unflatten(track.tree, leaves)
+
+
+def _nested(values: list[Any], shape: tuple[int, ...]) -> Any:
+    if not shape:
+        return values[0]
+    size = len(values) // shape[0]
+    return tuple(_nested(values[i * size : (i + 1) * size], shape[1:]) for i in range(shape[0]))
