@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxmpc import swing
-from jaxmpc.engine.episode import ArmEpisode, ArmLane, ArmRun, on_tissues
+from jaxmpc.engine.episode import ArmEpisode, ArmLane, ArmProgress, on_tissues
 from jaxmpc.engine.linear_scan import over_stretches
 from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import ArmLoop, ArmSample, ArmSignals, Cell, Trouble
@@ -85,15 +85,15 @@ def run(
     judged, episode = signals.late is not None, ArmEpisode(loop)
     lane = ArmLane(cell, force_limit, swing.high_pass(cell.robot.measurement.T_s, ops) if judged else None)
 
-    def sample_of(lane: ArmLane, state: ArmRun, now: ArmSignals) -> tuple[ArmRun, ArmSample]:
+    def sample_of(lane: ArmLane, state: ArmProgress, now: ArmSignals) -> tuple[ArmProgress, ArmSample]:
         return episode.step(lane, state, now, ops)
 
-    def one(state: ArmRun, raw: ArmSignals) -> tuple[ArmRun, ArmSample | None]:
+    def one(state: ArmProgress, raw: ArmSignals) -> tuple[ArmProgress, ArmSample | None]:
         opaque = 1.0 + 0.0 * raw.time.ravel()[0]
         following, sample = transform(sample_of, opaque)(lane, state, episode.taken_apart(raw))
         return following, sample._replace(force_ref=raw.force_ref) if traced else None
 
-    def stretch(state: ArmRun, part: ArmSignals) -> tuple[ArmRun, ArmSample | None]:
+    def stretch(state: ArmProgress, part: ArmSignals) -> tuple[ArmProgress, ArmSample | None]:
         state, samples = jax.lax.scan(jax.checkpoint(one), state, part)
         return episode.fold(lane, state, ops), samples
 

@@ -55,7 +55,7 @@ class AxisLane(NamedTuple):
     """What the force is judged by at the end; None where nobody asks how it swings."""
 
 
-class AxisRun(NamedTuple):
+class AxisProgress(NamedTuple):
     """What an axis of the linear loop carries."""
 
     carry: linear.LinearCarry
@@ -89,14 +89,16 @@ class AxisEpisode(NamedTuple):
         """See `Episode`."""
         return now._replace(force_ref=tuple(now.force_ref))
 
-    def begin(self, lane: AxisLane, ops: Ops) -> AxisRun:
+    def begin(self, lane: AxisLane, ops: Ops) -> AxisProgress:
         """See `Episode`."""
         zero = 0.0 * lane.gains.mpc_u
         empty, filters = no_sums(zero), None if lane.high_pass is None else swing.rest(zero)
         begun, never = linear.start(lane.gains), zero + inf
-        return AxisRun(begun, filters, empty, empty, no_extremes(zero), zero, never, never)
+        return AxisProgress(begun, filters, empty, empty, no_extremes(zero), zero, never, never)
 
-    def step(self, lane: AxisLane, run: AxisRun, now: linear.AxisSignals, ops: Ops) -> tuple[AxisRun, linear.Sample]:
+    def step(
+        self, lane: AxisLane, run: AxisProgress, now: linear.AxisSignals, ops: Ops
+    ) -> tuple[AxisProgress, linear.Sample]:
         """See `Episode`."""
         before = run.carry.contact.pending[0]
         following, sample = linear.advance(lane.gains, lane.contact, lane.lsb, run.carry, now, ops)
@@ -109,7 +111,7 @@ class AxisEpisode(NamedTuple):
         partial, extremes = add(run.partial, run.extremes, now.score, *measured, ops)
         return run._replace(carry=following, filters=filters, partial=partial, extremes=extremes), sample
 
-    def fold(self, lane: AxisLane, run: AxisRun, ops: Ops) -> AxisRun:
+    def fold(self, lane: AxisLane, run: AxisProgress, ops: Ops) -> AxisProgress:
         """See `Episode`; a moment is told to a stretch: one per sample would cost what only a lost run needs."""
         most, began = run.extremes, STRETCH * run.stretches * lane.contact.T_s
         within = ops.where(most.highest_force < lane.force_limit, most.largest_error < linear.HIGHEST_ERROR, False)
@@ -122,7 +124,7 @@ class AxisEpisode(NamedTuple):
             over_limit=ops.minimum(run.over_limit, ops.where(within, inf, began)),
         )
 
-    def found(self, run: AxisRun) -> AxisFound:
+    def found(self, run: AxisProgress) -> AxisFound:
         """See `Episode`."""
         return AxisFound(run.sums, run.extremes, run.diverged, run.over_limit)
 
@@ -137,7 +139,7 @@ class ArmLane(NamedTuple):
     """What the force is judged by at the end; None where nobody asks how it swings."""
 
 
-class ArmRun(NamedTuple):
+class ArmProgress(NamedTuple):
     """What the arm carries."""
 
     carry: arm.ArmCarry
@@ -176,15 +178,15 @@ class ArmEpisode(NamedTuple):
             score=tuple(now.score),
         )
 
-    def begin(self, lane: ArmLane, ops: Ops) -> ArmRun:
+    def begin(self, lane: ArmLane, ops: Ops) -> ArmProgress:
         """See `Episode`."""
         zero = 0.0 * lane.cell.K2
         empty, most = (no_sums(zero),) * 3, (no_extremes(zero),) * 3
         filters = None if lane.high_pass is None else (swing.rest(zero),) * 3
         begun = arm.start(self.loop, lane.cell, ops)
-        return ArmRun(begun, filters, empty, empty, most, no_joints(zero), arm.untroubled(zero))
+        return ArmProgress(begun, filters, empty, empty, most, no_joints(zero), arm.untroubled(zero))
 
-    def step(self, lane: ArmLane, run: ArmRun, now: arm.ArmSignals, ops: Ops) -> tuple[ArmRun, arm.ArmSample]:
+    def step(self, lane: ArmLane, run: ArmProgress, now: arm.ArmSignals, ops: Ops) -> tuple[ArmProgress, arm.ArmSample]:
         """See `Episode`."""
         before = run.carry
         following, sample = arm.advance(self.loop, lane.cell, before, now, ops)
@@ -203,14 +205,14 @@ class ArmEpisode(NamedTuple):
         x, y, z = now.score
         joints = add_joints(run.joints, x + y + z > 0.0, sample.clamped[0], sample.wanted, before.wanted, ops)
         trouble = arm.noticed(run.trouble, sample, now, lane.force_limit, ops)
-        return ArmRun(following, filters, partial, run.sums, extremes, joints, trouble), sample
+        return ArmProgress(following, filters, partial, run.sums, extremes, joints, trouble), sample
 
-    def fold(self, lane: ArmLane, run: ArmRun, ops: Ops) -> ArmRun:
+    def fold(self, lane: ArmLane, run: ArmProgress, ops: Ops) -> ArmProgress:
         """See `Episode`."""
         sums = tuple(merge(*pair) for pair in zip(run.sums, run.partial, strict=True))
         return run._replace(partial=(no_sums(0.0 * lane.cell.K2),) * 3, sums=sums)
 
-    def found(self, run: ArmRun) -> ArmFound:
+    def found(self, run: ArmProgress) -> ArmFound:
         """See `Episode`."""
         return ArmFound(run.sums, run.extremes, run.joints, run.trouble)
 

@@ -67,7 +67,7 @@ def _axes(gains: Gains, contacts: Contact, data: ScenarioData, dtype: Any) -> Ce
     sums, extremes, diverged, over_limit = _run(AxisEpisode(), lane, shape, signals, AXIS, dtype)
     scored, late = _per_group(signals.score), _per_group(signals.late) if judged else None
     steps = signals.heart.shape[1]
-    found = metrics(sums, extremes, scored, steps, late, no_joints(0.0 * sums.error_squared), ops)
+    found = metrics(sums, extremes, scored, steps, late, no_joints(jnp.zeros_like(sums.error_squared)), ops)
     never = jnp.transpose(diverged) + inf
     return CellResults(
         jax.tree.map(jnp.transpose, found), jnp.transpose(diverged), jnp.transpose(over_limit), never, never, None

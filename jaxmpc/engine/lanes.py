@@ -81,7 +81,7 @@ class Track(NamedTuple):
 
     tree: Any
     shapes: tuple[tuple[int, ...], ...]
-    """Of each leaf at one sample."""
+    """What each leaf has at one sample."""
     flags: tuple[bool, ...]
     """Which leaves are truth values."""
     steps: int

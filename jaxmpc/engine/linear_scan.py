@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxmpc import swing
-from jaxmpc.engine.episode import STRETCH, AxisEpisode, AxisLane, AxisRun
+from jaxmpc.engine.episode import STRETCH, AxisEpisode, AxisLane, AxisProgress
 from jaxmpc.law.gains import Gains
 from jaxmpc.loop.linear import AxisSignals, LinearCarry, Sample, advance, start
 from jaxmpc.metrics import Metrics, metrics, no_joints
@@ -55,11 +55,11 @@ def run(
     judged, episode = signals.late is not None, AxisEpisode()
     lane = AxisLane(gains, contact, lsb, force_limit, swing.high_pass(contact.T_s, ops) if judged else None)
 
-    def one(state: AxisRun, now: AxisSignals) -> tuple[AxisRun, None]:
+    def one(state: AxisProgress, now: AxisSignals) -> tuple[AxisProgress, None]:
         return episode.step(lane, state, episode.taken_apart(now), ops)[0], None
 
     @jax.checkpoint
-    def stretch(state: AxisRun, part: AxisSignals) -> tuple[AxisRun, None]:
+    def stretch(state: AxisProgress, part: AxisSignals) -> tuple[AxisProgress, None]:
         return episode.fold(lane, jax.lax.scan(jax.checkpoint(one), state, part)[0], ops), None
 
     state, _ = over_stretches(stretch, episode.begin(lane, ops), signals)

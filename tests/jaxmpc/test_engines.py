@@ -9,7 +9,7 @@ import pytest
 
 from jaxmpc import Params, evaluate
 from jaxmpc.closed_loops import close_loops
-from jaxmpc.engine.registry import ENGINES, choose
+from jaxmpc.engine.registry import ENGINES, choose, fastest
 from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
 from jaxmpc.files.errors import InputError
 from tests.jaxmpc.arm_tables import TABLE, changed
@@ -49,8 +49,18 @@ def test_what_an_engine_declares_it_can_differentiate(physics: str) -> None:
 def test_an_engine_is_refused_what_it_does_not_know() -> None:
     spec = program_spec(BRIEF)
     assert choose(spec).name == "mjx"
-    with pytest.raises(InputError, match="kernel"):
-        choose(spec._replace(engine="kernel"))
+    with pytest.raises(InputError, match="scan"):
+        choose(spec._replace(engine="skan"))
+    with pytest.raises(InputError, match="reverse"):
+        choose(spec._replace(engine="kernel"), "reverse")
+
+
+def test_the_kernel_takes_the_place_of_the_scan_on_a_gpu_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    scan, mjx = program_spec(TABLE), program_spec(BRIEF)
+    assert fastest(scan) == scan
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert fastest(scan) == scan._replace(engine="kernel")
+    assert fastest(mjx) == mjx
 
 
 def test_stock_mjx_steps_as_mujoco_does_and_says_so() -> None:

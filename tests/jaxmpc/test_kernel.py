@@ -1,0 +1,145 @@
+"""The kernel, interpreted: the scan's numbers of every lane, however lanes are cut, packed and told apart."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmpc import Experiment, Params
+from jaxmpc.closed_loops import close_loops
+from jaxmpc.engine import kernel, pallas_triton
+from jaxmpc.engine.base import CellResults
+from jaxmpc.engine.kernel import Kernel
+from jaxmpc.engine.lane_ops import lane_ops
+from jaxmpc.engine.lanes import at_sample, packed, recorded, unpacked
+from jaxmpc.engine.pallas_triton import Shape
+from jaxmpc.engine.scan import Scan
+from jaxmpc.engine.scenario import program_spec, scenario_data
+from tests.jaxmpc.arm_tables import TABLE, changed
+
+# Steps that stretches do not divide, lanes that programs do not divide; one controller that runs away.
+LINEAR = changed(Experiment.published("table-1"), duration=2.59, settle=1.0)
+ARM = changed(
+    TABLE,
+    duration=0.26,
+    settle=0.1,
+    stiffness=(375.0, 550.0),
+    reference={"z": 0.0},
+    arm={"cable_hz": 150.0, "substeps": 2},
+)
+
+
+def results(engine: Any, params: Params, experiment: Experiment, dtype: str) -> CellResults:
+    spec, data = program_spec(experiment), scenario_data(experiment, swinging=True)
+    loops = close_loops(params, data.stiffness, data.path)
+    run = jax.jit(lambda loops: engine.simulate(spec, loops.gains, loops.K2, loops.contacts, data, dtype))
+    found: CellResults = jax.tree.map(np.asarray, run(loops))
+    return found
+
+
+def varied(params: Params, **columns: Any) -> Params:
+    return params.with_columns({name: np.asarray(values) for name, values in columns.items()})
+
+
+def check_equal(kernel: CellResults, scan: CellResults, rtol: float) -> None:
+    for name, found, expected in zip(scan.metrics._fields, kernel.metrics, scan.metrics, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol, err_msg=name)
+    for name in ("diverged", "over_limit", "lost_contact", "backed_off"):
+        np.testing.assert_array_equal(getattr(kernel, name), getattr(scan, name), err_msg=name)
+
+
+def test_linear_loop_is_the_scans_to_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In float64 nothing but the order of operations differs: 1e-9 of a force is far above that."""
+    monkeypatch.setattr(kernel, "AXIS", Shape(4, 1))
+    params = varied(Params(), Khat_s=[900.0, 1400.0, 60.0])
+    found, expected = (results(engine, params, LINEAR, "float64") for engine in (Kernel(), Scan()))
+    assert np.isfinite(expected.over_limit[2]).any()
+    assert np.isinf(expected.over_limit[:2]).all()
+    check_equal(found, expected, 1e-9)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("name", ["text", "family"])
+def test_arm_is_the_scans_to_rounding(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With cable, friction, quantisers, limits, guard, schedule and identification."""
+    monkeypatch.setattr(kernel, "ARM", Shape(4, 1))
+    params = varied(Params.published(name), K2=np.float64(Params.published(name).K2) * np.array([1.0, 1.1, 1.2]))
+    found, expected = (results(engine, params, ARM, "float64") for engine in (Kernel(), Scan()))
+    check_equal(found, expected, 1e-9)
+
+
+def test_samples_come_from_the_scan() -> None:
+    spec, data = program_spec(LINEAR), scenario_data(LINEAR)
+    loops = close_loops(varied(Params(), K2=[10.0]), data.stiffness, data.path)
+    found = Kernel().simulate(spec, loops.gains, loops.K2, loops.contacts, data, "float64", traced=True)
+    assert found.trace is not None
+
+
+def test_each_lane_finds_its_own_constants() -> None:
+    shape = motions, tissues, controllers = 2, 3, 5
+    random = np.random.default_rng(3)
+    lane = {
+        "one": 2.5,
+        "motion": random.normal(size=(motions, 1, 1)),
+        "cell": random.normal(size=(motions, tissues, 1)),
+        "tissue": random.normal(size=(tissues, 1)),
+        "controller": random.normal(size=controllers),
+        "both": random.normal(size=(tissues, controllers)),
+        "all": random.normal(size=shape),
+        "corner": random.normal(size=(motions, 1, controllers)),
+    }
+    arrays, layout = packed(lane, shape, jnp.float64)
+    everywhere = np.arange(tissues * controllers)
+    for group in range(motions):
+        found = unpacked(layout, arrays, group, everywhere)
+        for name, value in lane.items():
+            expected = np.broadcast_to(value, shape)[group].ravel()
+            np.testing.assert_array_equal(np.broadcast_to(found[name], expected.shape), expected, err_msg=name)
+    stored = sum(array.size for array in arrays)
+    assert stored == sum(np.size(value) for value in lane.values())
+
+
+def test_each_sample_finds_its_own_signals() -> None:
+    random = np.random.default_rng(4)
+    signals = {"a": random.normal(size=(2, 7)), "b": random.normal(size=(2, 7, 2, 3)), "c": random.random((2, 7)) > 0.5}
+    array, track = recorded(signals, jnp.float64)
+    for group, step in ((0, 0), (1, 6), (1, 3)):
+        found = at_sample(track, array, group, step)
+        assert found["a"] == signals["a"][group, step]
+        np.testing.assert_array_equal(np.array(found["b"]), signals["b"][group, step])
+        assert bool(found["c"]) == signals["c"][group, step]
+
+
+def test_sines_of_float32_are_numpys_to_its_last_digits() -> None:
+    """Within two units in the last place of 1 (2.4e-7), over several turns, where the reduction is exact."""
+    angles = np.linspace(-20.0, 20.0, 200_001).astype(np.float32)
+    ops = lane_ops(jnp.float32)
+    for function, exact in ((ops.sin, np.sin), (ops.cos, np.cos)):
+        np.testing.assert_allclose(function(jnp.asarray(angles)), exact(angles.astype(np.float64)), rtol=0, atol=2.4e-7)
+
+
+def test_slope_of_a_sine_is_its_cosine() -> None:
+    ops, angles = lane_ops(jnp.float32), jnp.linspace(-3.0, 3.0, 1001, dtype=jnp.float32)
+    slopes = jax.vmap(jax.grad(ops.sin))(angles)
+    np.testing.assert_allclose(slopes, np.cos(np.asarray(angles, np.float64)), atol=2e-6)
+
+
+def test_quotients_become_products(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With an exact reciprocal the numbers stay; a denominator is inverted once."""
+    asked = []
+
+    def reciprocal(value: Any) -> Any:
+        asked.append(value)
+        return 1.0 / value
+
+    monkeypatch.setattr(pallas_triton, "_reciprocal", reciprocal)
+
+    def function(x: Any, y: Any) -> Any:
+        return {"a": x / y + 2.0 / y, "b": jnp.where(x > 0.0, x / 3.0, -x)}
+
+    x, y = jnp.linspace(-1.0, 1.0, 5), jnp.linspace(1.0, 3.0, 5)
+    found, expected = pallas_triton._with_reciprocals(function, x, y), function(x, y)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-15), found, expected)
+    assert len(asked) == 2
