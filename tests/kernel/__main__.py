@@ -1,8 +1,12 @@
-"""`make kernel-test`: whole flights on the kernel's own CAN, in a virtual machine, on a standard and a PREEMPT_RT kernel."""
+"""`make kernel-test`: flights on the kernel's own CAN, in a virtual machine.
+
+On each kernel whose package lies in a folder: a standard one and one with PREEMPT_RT are meant.
+"""
 
 import argparse
 import json
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -38,7 +42,9 @@ def main() -> int:
     tools = {tool: package for tool, package in TOOLS.items() if _missing(tool)}
     packages = sorted(args.kernels.glob("linux-image-*.deb"))
     if tools:
-        print(f"kernel-test: skipped, {', '.join(tools)} not found: apt install {' '.join(sorted(set(tools.values())))}")
+        print(
+            f"kernel-test: skipped, {', '.join(tools)} not found: apt install {' '.join(sorted(set(tools.values())))}"
+        )
         return 0
     if not packages:
         print(
@@ -46,6 +52,7 @@ def main() -> int:
             "linux-image-amd64 and linux-image-rt-amd64 depend (apt-cache depends names them)"
         )
         return 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # or the machine would go on without us
     well = True
     with tempfile.TemporaryDirectory(prefix="jaxmpc-kernel-") as made:
         folder = Path(made)
@@ -98,7 +105,9 @@ def _flown(folder: Path, kernel: Path, controller: Path, flights: str, minutes: 
 
 def _short(said: dict[str, object]) -> str:
     return ", ".join(
-        f"{key} {_short(value) if isinstance(value, dict) else value}" for key, value in said.items() if value is not None
+        f"{key} {_short(value) if isinstance(value, dict) else value}"
+        for key, value in said.items()
+        if value is not None
     )
 
 

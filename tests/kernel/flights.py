@@ -30,6 +30,8 @@ LET_GO = 0.010
 NAMED = 1.0
 """Within which a run must say what stopped it [s]."""
 HUNG = 60.0
+STORY = ("force sensor tared", "armed:", "approach:", "contact:", "retract", "stopped:", "ended: stopped, finished")
+"""Beginnings of lines of a flight without a fault."""
 _BUS = ("-i", "socketcan", "-c", CHANNEL)
 
 
@@ -137,25 +139,29 @@ def _watchdog_of(controller: int) -> int:
 def _fly(twin: subprocess.Popen[str], fault: Fault | None) -> tuple[list[tuple[float, str]], int, float]:
     """Its lines with their times [s], its exit code, and when the fault struck [s]."""
     run = _controller(2.0 * HELD if fault is None else HUNG)
-    assert run.stdout is not None and twin.stdin is not None
+    assert run.stdout is not None
+    assert twin.stdin is not None
     said, struck = [], 0.0
     processes = None
-    for text in run.stdout:
-        line = text.rstrip()
-        said.append((time.time(), line))
-        if line.startswith("armed:"):
-            time.sleep(0.2)
-            twin.stdin.write("a")
-            twin.stdin.flush()
-        if line.startswith("contact:") and fault is not None:
-            processes = Processes(twin.pid, run.pid, _watchdog_of(run.pid))
-            time.sleep(PRESSED_FOR)
-            struck = time.time()
-            fault.strike(processes)
-    code = run.wait()
-    if fault is not None and processes is not None:
-        fault.undo(processes)
-    return said, code, struck
+    try:
+        for text in run.stdout:
+            line = text.rstrip()
+            said.append((time.time(), line))
+            if line.startswith("armed:"):
+                time.sleep(0.2)
+                twin.stdin.write("a")
+                twin.stdin.flush()
+            if line.startswith("contact:") and fault is not None:
+                processes = Processes(twin.pid, run.pid, _watchdog_of(run.pid))
+                time.sleep(PRESSED_FOR)
+                struck = time.time()
+                fault.strike(processes)
+        return said, run.wait(), struck
+    finally:
+        run.kill()
+        run.wait()
+        if fault is not None and processes is not None:
+            fault.undo(processes)
 
 
 def _recorded() -> dict[str, Any]:
@@ -171,7 +177,15 @@ def whole() -> bool:
     text = "\n".join(line for _, line in said)
     wrong = [f"exit code {code}"] if code else []
     where = 0
-    for word in ("force sensor tared", "armed:", "approach:", "contact:", "retract", "stopped:", "ended: stopped, finished"):
+    for word in (
+        "force sensor tared",
+        "armed:",
+        "approach:",
+        "contact:",
+        "retract",
+        "stopped:",
+        "ended: stopped, finished",
+    ):
         found = text.find(word, where)
         wrong += [f"no {word!r} after what came before"] if found < 0 else []
         where = max(where, found)
@@ -218,7 +232,9 @@ def struck(fault: Fault) -> bool:
         measured["idle [ms]"] = round(1e3 * (idled - at), 1)
     if fault.idle:
         wrong += [] if idled is not None and idled - at < LET_GO else [f"not idle within {1e3 * LET_GO:g} ms"]
-        wrong += [] if idled is not None and not [each for each in driven if each > idled + 0.001] else ["driven after it"]
+        wrong += (
+            [] if idled is not None and not [each for each in driven if each > idled + 0.001] else ["driven after it"]
+        )
     wrong += [] if max(driven, default=at) - at < NAMED else ["driven a second later"]
     wrong += [f"safety module in mode {mode}"] if fault.bus and mode != 1 else []
     if wrong:

@@ -1,4 +1,4 @@
-"""The guest's whole world as one archive in memory: busybox, kernel modules, Python, the packages that fly, this checkout.
+"""The guest's whole world as one archive: busybox, kernel modules, Python, the packages that fly, this checkout.
 
 No file of the host is shared with the guest: a wait for one would make its virtual time leap.
 """
@@ -59,7 +59,7 @@ def build(folder: Path, kernel: Path, controller: Path, settings: Mapping[str, o
     shutil.copy2(HERE / "init.sh", tree / "init")
     (tree / "init").chmod(0o755)
     variables = {"ROOT": ROOT, "PYTHON": python, "PYTHONPATH": f"{ROOT}:{SITE}", "OMP_NUM_THREADS": 1}
-    variables |= {"PYTHONUNBUFFERED": 1, "PATH": "/bin:/sbin", **settings}
+    variables |= {"PYTHONUNBUFFERED": 1, "PATH": "/sbin:/bin", **settings}
     (tree / "settings").write_text("".join(f'export {key}="{value}"\n' for key, value in variables.items()))
     for library in _libraries(path for path in tree.rglob("*") if _is_program(path)):
         _same(tree, library)
