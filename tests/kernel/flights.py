@@ -69,8 +69,8 @@ def _stand_still(number: int) -> None:
 
 
 def _fill_queue(_: Processes) -> None:
-    # A queue of three frames whose first leaves in a quarter of an hour: sends fail with ENOBUFS from the fourth on.
-    subprocess.run(["tc", "qdisc", "add", "dev", CHANNEL, "root", "netem", "limit", "3", "delay", "900s"], check=True)
+    # A queue of three frames that stay in it for minutes: sends fail with ENOBUFS from the fourth on.
+    subprocess.run(["tc", "qdisc", "add", "dev", CHANNEL, "root", "netem", "limit", "3", "delay", "200s"], check=True)
 
 
 def _empty_queue(_: Processes) -> None:
