@@ -60,8 +60,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: ExitStack) -> int:
-    from deploy.bus.bus import Bus, open_bus
+    from deploy.bus.bus import Bus
     from deploy.bus.candump import BusLog
+    from deploy.bus.interface import open_bus
     from deploy.flight.recorder import FlightRecorder
     from deploy.flight.recording_file import RecordingFile
     from deploy.loop.operator import Console, Operator

@@ -21,7 +21,7 @@ CONTACTS = {"approach_speed": (0.1, 50.0), "approach_limit": (1.0, 200.0), "retr
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
-    from deploy.bus.bus import add_arguments
+    from deploy.bus.interface import add_arguments
 
     parser.add_argument("artifact", type=Path, help="a controller frozen for the arm")
     wanted = parser.add_argument_group("wanted force")
