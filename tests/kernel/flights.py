@@ -30,6 +30,7 @@ LET_GO = 0.010
 NAMED = 1.0
 """Within which a run must say what stopped it [s]."""
 HUNG = 60.0
+"""Patience with a twin that does not begin, and a duration that no flight with a fault reaches [s]."""
 STORY = ("force sensor tared", "armed:", "approach:", "contact:", "retract", "stopped:", "ended: stopped, finished")
 """Beginnings of lines of a flight without a fault."""
 _BUS = ("-i", "socketcan", "-c", CHANNEL)
