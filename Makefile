@@ -11,7 +11,7 @@ DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-oracles test-slow planted-faults lint types robot-test bench pins clean
+.PHONY: help demo test test-oracles test-slow planted-faults lint types robot-test kernel-test bench pins clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -46,6 +46,9 @@ robot-test: $(ROBOT)  ## the robot's tests, where only numpy, python-can and pyt
 		echo "$(ROBOT_VENV) holds jax: remove it and try again" >&2; exit 1; fi
 	@$(ROBOT_VENV)/bin/python -m pytest tests/deploy \
 		-o addopts="--import-mode=importlib --strict-markers" -m "not slow and not oracle and not hardware"
+
+kernel-test: $(DEV)  ## flights on a kernel's own CAN, in a virtual machine: an hour, and packages of docs/robot.md
+	@$(VENV)/bin/python -m tests.kernel $(if $(KERNELS),--kernels $(KERNELS))
 
 bench: $(DEV)  ## throughput of the linear loop and of the arm beside their peers
 	@$(VENV)/bin/python -m benchmarks.sweep_throughput

@@ -10,7 +10,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from deploy.bus.bus import Bus, open_bus
+from deploy.bus.bus import Bus
+from deploy.bus.interface import open_bus
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import ArtifactError, load
 from deploy.errors import BusError

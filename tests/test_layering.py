@@ -61,7 +61,9 @@ def refusal(path: str, found: Import) -> str | None:
     if within(module, ("deploy",)):
         if within(name, ("deploy.twin",)) and not (found.deferred and within(module, ("deploy.cli",))):
             return "the robot has no twin"
-        allowed = standard or within(name, ("deploy", *ROBOT_MAY_IMPORT))
+        # Behind an extra, for who signs or wants a signature; nothing else loads it.
+        signing = found.deferred and module == "deploy.controller.signature" and within(name, ("cryptography",))
+        allowed = standard or signing or within(name, ("deploy", *ROBOT_MAY_IMPORT))
         return None if allowed else "the robot has only numpy and python-can"
     if within(module, ON_ROBOT) and not found.deferred and not (standard or within(name, ROBOT_MAY_IMPORT)):
         return "the robot loads this module"

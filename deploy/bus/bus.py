@@ -1,19 +1,15 @@
 """The bus: python-can in, frames out; whatever is none of ours is dropped and counted, and nothing is retried."""
 
-import argparse
 import errno
-import re
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
 import can
-from can.cli import add_bus_arguments, create_bus_from_namespace
 
 from deploy.bus import receive_buffer
 from deploy.bus.error_frames import BusState, graver, state_of
-from deploy.errors import BusError
 from deploy.puck.codec import HOST, PUCKS, SAFETY_MODULE, SENSOR
 from deploy.puck.frame import Frame
 
@@ -236,40 +232,3 @@ def _meaning(error: Exception, usual: BusState) -> BusState:
     if number == errno.ENETDOWN:
         return "down"
     return "off" if number in (errno.ENODEV, errno.ENXIO) else usual
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags that say which bus: python-can's own, as --interface and --channel."""
-    add_bus_arguments(parser)
-
-
-def open_bus(arguments: argparse.Namespace, now: Callable[[], int] = time.monotonic_ns) -> Bus:
-    """The bus that python-can's flags name.
-
-    Raises:
-        BusError: As `open_interface`.
-    """
-    return Bus(open_interface(arguments), now)
-
-
-def open_interface(arguments: argparse.Namespace) -> can.BusABC:
-    """The bus of python-can that its flags name.
-
-    Raises:
-        BusError: It cannot be opened, or the flags ask for what the arm does not speak.
-    """
-    channel = str(getattr(arguments, "channel", ""))
-    if not re.fullmatch(r"[\w./:@+-]{0,128}", channel):
-        raise BusError(f"{channel!r} is no name of a CAN channel: give one like can0 or /dev/ttyACM0")
-    if getattr(arguments, "fd", False):
-        raise BusError("the pucks speak classical CAN only: leave --fd out")
-    bitrate = getattr(arguments, "bitrate", 1_000_000)
-    if bitrate != 1_000_000:
-        raise BusError(f"the pucks speak 1 Mbit/s, not {bitrate} bit/s: use --bitrate 1000000")
-    try:
-        return create_bus_from_namespace(arguments)
-    except argparse.ArgumentError as error:
-        why = error.__cause__ or error
-        name = " ".join(f"{getattr(arguments, key, '')}" for key in ("interface", "channel")).strip()
-        remedy = "check --interface and --channel, that its driver is loaded and that nobody else has it"
-        raise BusError(f"the bus {name or '(none named)'} cannot be opened ({why}): {remedy}") from None

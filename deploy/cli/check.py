@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.add_argument("artifact", type=Path, help="a frozen controller, as `jaxmpc freeze` writes it (.npz)")
+    parser.add_argument(
+        "--require-signature", type=Path, metavar="KEY.pub", help="refuse what this Ed25519 key has not signed"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -27,22 +30,26 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: There is no such file.
     """
-    from deploy.controller.file import ArtifactError, load
+    from deploy.controller.file import ArtifactError, from_bytes, read
     from deploy.controller.golden import TOLERANCE, check_golden
     from deploy.controller.recomputed_margins import differences
+    from deploy.controller.signature import SignatureError, public_key
     from jaxmpc.quantities import MARGINS
 
     path: Path = args.artifact
     if not os.path.lexists(path):
         raise InputError("artifact", path, "an existing file", "Make one with `jaxmpc freeze PARAMS.toml -o FILE`.")
+    key = None if args.require_signature is None else public_key(args.require_signature)
     try:
-        artifact = load(path)
-    except ArtifactError as error:
-        print(f"jaxmpc check: refused: {error}", file=sys.stderr)
+        data = read(path)
+        owner = _owner(path, data, key)
+        artifact = from_bytes(data)
+    except (ArtifactError, SignatureError) as error:
+        print(f"jaxmpc check: refused: {path}: {error}", file=sys.stderr)
         return 1
 
     reference = "known along the horizon" if artifact.preview else "held constant along the horizon"
-    print(f"{path}: intact\n  sha256      {hashlib.sha256(path.read_bytes()).hexdigest()}")
+    print(f"{path}: intact\n  sha256      {hashlib.sha256(data).hexdigest()}\n  signed      {owner}")
     runs = "runs: `jaxmpc run` drives an arm with it" if artifact.arm else "replay only: it drives no arm"
     print(f"  kind        {artifact.kind}, {runs}")
     print(f"  T_s         {artifact.T_s:g} s\n  K2          {artifact.K2:g} 1/s\n  reference   {reference}")
@@ -84,6 +91,27 @@ def run(args: argparse.Namespace) -> int:
     if found:
         print(f"jaxmpc check: {path}: its margins are not those of its gains: freeze it again", file=sys.stderr)
     return 1 if found else 0
+
+
+def _owner(path: Path, data: bytes, required: str | None) -> str:
+    """Who signed it.
+
+    Raises:
+        SignatureError: The signature is not one of this file, or not by the key that is required.
+        InputError: It is to be verified, and the library is missing.
+    """
+    from deploy.controller.signature import read, require, verify
+
+    if required is not None:
+        return f"by {require(path, data, required).fingerprint}, the key that is required"
+    signature = read(path)
+    if signature is None:
+        return "by nobody"
+    try:
+        verify(signature, data)
+    except InputError as error:
+        return f"NOT VERIFIED, by {signature.fingerprint} if it is true ({error})"
+    return f"by {signature.fingerprint}; `ssh-keygen -l -f KEY.pub` names a key so"
 
 
 def _loop(artifact: "Artifact") -> str:

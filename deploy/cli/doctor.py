@@ -9,7 +9,7 @@ from jaxmpc.files.errors import InputError
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    from deploy.bus.bus import add_arguments
+    from deploy.bus.interface import add_arguments
 
     parser.add_argument("--artifact", type=Path, help="a frozen controller that is to run")
     parser.add_argument("--rate", type=float, help="cycles [Hz] (the controller's, else 1000)")

@@ -7,75 +7,18 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from math import cos, isfinite, radians, sin
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deploy.cli.run_arguments import HASH, check, configure, options
 from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
     from deploy.controller.artifact import Artifact
-    from deploy.loop.session import Options
 
-HASH = 8
-"""Characters of the controller's sha256 that arm it."""
+__all__ = ["configure", "run"]
+
 ACTIVATED = 200
 """Cycles after which the twin's pendant is pressed in lock-step."""
-LONGEST = 50.0
-"""Longest recording that can be read again [s]."""
-CONTACTS = {"approach_speed": (0.1, 50.0), "approach_limit": (1.0, 200.0), "retract": (1.0, 200.0)}
-"""Bounds [mm/s], [mm], [mm]."""
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the verb."""
-    from deploy.bus.bus import add_arguments
-
-    parser.add_argument("artifact", type=Path, help="a controller frozen for the arm")
-    wanted = parser.add_argument_group("wanted force")
-    help_text = (
-        "X,Y,Z [N], 'ramps:X,Y,Z@RATE hold@S sweep@X,Y,Z@HZ@HZ@S …', an experiment's TOML file, a file t,x,y,z, "
-        "or - for lines on standard input (-5 N in Z)"
-    )
-    wanted.add_argument("--reference", default="ramps:0,0,-5@2", help=help_text)
-    wanted.add_argument("--rate", type=float, default=5.0, metavar="N/S", help="fastest change of it (5)")
-    wanted.add_argument("--duration", type=float, default=30.0, metavar="S", help="time in contact (30)")
-    operator = parser.add_argument_group("operator")
-    operator.add_argument("--arm", metavar="SHA256", help=f"its first {HASH} characters arm the controller; else asked")
-    operator.add_argument(
-        "--start", choices=("enter", "auto"), default="enter", help="what begins the approach (enter)"
-    )
-    operator.add_argument("--home", action="store_true", help="the arm stands at home, if it does not know where it is")
-    contact = parser.add_argument_group("contact")
-    contact.add_argument("--approach-speed", type=float, default=5.0, metavar="MM/S", help="downwards (5)")
-    contact.add_argument("--approach-limit", type=float, default=60.0, metavar="MM", help="farthest way down (60)")
-    contact.add_argument("--retract", type=float, default=30.0, metavar="MM", help="way up at the end (30)")
-    sensor = parser.add_argument_group("force sensor")
-    sensor.add_argument("--sensor", default="can", help="can, or jr3:/dev/comedi0 (can)")
-    sensor.add_argument(
-        "--mount", default="0,0,0", metavar="R,P,Y", help="its roll, pitch and yaw in the frame (0,0,0) [deg]"
-    )
-    sensor.add_argument("--sensor-frame", choices=("tool", "world"), default="tool", help="what it is fixed to (tool)")
-    sensor.add_argument("--no-tare", action="store_true", help="leave its zero as it is")
-    machine = parser.add_argument_group("machine")
-    machine.add_argument("--hz", type=float, help="refused unless it is the controller's own rate")
-    machine.add_argument("--cpu", type=int, help="processor to run on")
-    machine.add_argument(
-        "-o", "--output", type=Path, default=Path("flights"), metavar="DIR", help="recordings (flights)"
-    )
-    machine.add_argument("--record", action="store_true", help="write the flight recording even if all went well")
-    machine.add_argument("--recorded", type=float, default=10.0, metavar="S", help="how much of the end is kept (10)")
-    machine.add_argument("--bus-log", type=Path, metavar="FILE.log", help="the torque frames, as candump logs them")
-    twin = parser.add_argument_group("a twin instead of a bus (needs mujoco)")
-    twin.add_argument("--lockstep", action="store_true", help="run against a twin in this process, in its own time")
-    twin.add_argument("--experiment", help="its tissue, heart and arm: a TOML file, or a published experiment")
-    twin.add_argument("--stiffness", type=float, metavar="N/M", help="of its tissue (810, or the experiment's)")
-    twin.add_argument("--rhythm", help="of its heart (harmonics, or the experiment's)")
-    twin.add_argument(
-        "--fault", action="append", default=[], metavar="FAULT", help="as of `jaxmpc twin`, again for more"
-    )
-    twin.add_argument("--seed", type=int, default=0, help="of its noise and faults (0)")
-    add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,22 +28,26 @@ def run(args: argparse.Namespace) -> int:
         InputError: There is no such artifact, or an option is out of range.
     """
     from deploy.controller.file import ArtifactError, from_bytes, read
+    from deploy.controller.signature import SignatureError, public_key, require
     from deploy.errors import DeployError
     from deploy.loop.watchdog import WatchdogError
 
     if not args.artifact.exists():
         remedy = "Make one with `jaxmpc freeze PARAMS --experiment table-1-wam -o FILE`."
         raise InputError("artifact", args.artifact, "an existing file", remedy)
+    key = None if args.require_signature is None else public_key(args.require_signature)
     try:
         data = read(args.artifact)
+        if key is not None:
+            print(f"{args.artifact}: signed by {require(args.artifact, data, key).fingerprint}")
         artifact = from_bytes(data)
-    except ArtifactError as error:
+    except (ArtifactError, SignatureError) as error:
         print(f"jaxmpc run: refused: {args.artifact}: {error}", file=sys.stderr)
         return 1
     if artifact.arm is None:
         remedy = "Freeze it with an experiment on the arm: `jaxmpc freeze PARAMS --experiment table-1-wam`."
         raise InputError("kind", artifact.kind, "wam: a linear controller only replays", remedy)
-    _check(args)
+    check(args)
     digest = hashlib.sha256(data).hexdigest()
     print(f"{args.artifact}: sha256 {digest}")
     logging.getLogger("can").setLevel(logging.ERROR)  # socketcand's client warns of every frame that comes in two parts
@@ -113,8 +60,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: ExitStack) -> int:
-    from deploy.bus.bus import Bus, open_bus
+    from deploy.bus.bus import Bus
     from deploy.bus.candump import BusLog
+    from deploy.bus.interface import open_bus
     from deploy.flight.recorder import FlightRecorder
     from deploy.flight.recording_file import RecordingFile
     from deploy.loop.operator import Console, Operator
@@ -153,7 +101,7 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
             raise InputError("--bus-log", args.bus_log, bound, "Choose another one.") from None
         stack.callback(log.close)
         changes["log"] = log.add
-    session = Session(artifact, bus, clock, replace(_options(args, artifact), **changes), print)
+    session = Session(artifact, bus, clock, replace(options(args, artifact), **changes), print)
     if not (args.lockstep or _armed(args.arm, digest)):
         print("jaxmpc run: not armed; nothing moved", file=sys.stderr)
         return 1
@@ -237,76 +185,3 @@ def _armed(given: str | None, digest: str) -> bool:
         print(f"to arm it, type the first {HASH} characters of its sha256: ", end="", flush=True)
         given = sys.stdin.readline().strip()
     return len(given) >= HASH and digest.startswith(given.lower())
-
-
-def _check(args: argparse.Namespace) -> None:
-    """Refuse what no run can be asked for.
-
-    Raises:
-        InputError: An argument is out of range.
-    """
-    for name, (low, high) in CONTACTS.items():
-        if not low <= getattr(args, name) <= high:
-            bound = f"in [{low:g}, {high:g}]"
-            raise InputError(
-                f"--{name.replace('_', '-')}", getattr(args, name), bound, "The tissue is soft: go slowly."
-            )
-    if not 0.0 < args.duration <= 86400.0:
-        raise InputError("--duration", args.duration, "in (0, 86400] s", "Ctrl-C ends a run at any time.")
-    if not 0.0 < args.rate <= 100.0:
-        raise InputError("--rate", args.rate, "in (0, 100] N/s", "The paper's fastest reference has 12.6.")
-    if not 1.0 <= args.recorded <= LONGEST:
-        raise InputError(
-            "--recorded", args.recorded, f"in [1, {LONGEST:g}] s", "A recording lies in memory as a whole."
-        )
-    if args.sensor.partition(":")[0] not in ("can", "jr3"):
-        raise InputError("--sensor", args.sensor, "can or jr3:DEVICE", "For example jr3:/dev/comedi0.")
-    _mount(args.mount)
-
-
-def _options(args: argparse.Namespace, artifact: "Artifact") -> "Options":
-    """What the arguments ask for.
-
-    Raises:
-        InputError: The reference is malformed, or asks for more than the limits allow.
-    """
-    from deploy.force.can_sensor import CanSensor
-    from deploy.force.jr3 import Jr3, open_comedi
-    from deploy.loop.control import Contacting
-    from deploy.loop.session import Options, largest_wanted
-    from deploy.reference.parse import from_text
-
-    contacting = Contacting(
-        approach_speed=1e-3 * args.approach_speed,
-        approach_limit=1e-3 * args.approach_limit,
-        retract_distance=1e-3 * args.retract,
-    )
-    kind, _, device = args.sensor.partition(":")
-    return Options(
-        from_text(args.reference, rate=args.rate, largest=largest_wanted(artifact)),
-        rate=args.rate,
-        contacting=contacting,
-        sensor=CanSensor() if kind == "can" else Jr3(open_comedi(device or "/dev/comedi0")),
-        mount=_mount(args.mount),
-        turns=args.sensor_frame == "tool",
-        tare=not args.no_tare,
-        home=args.home,
-        hz=args.hz,
-        seconds=args.recorded,
-    )
-
-
-def _mount(text: str) -> Any:
-    """R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    try:
-        roll, pitch, yaw = (radians(float(word)) for word in text.split(","))
-        if not isfinite(roll + pitch + yaw):
-            raise ValueError
-    except ValueError:
-        raise InputError("--mount", text, "three angles R,P,Y [deg]", "For example 0,0,90.") from None
-    (a, b), (c, d), (e, f) = ((cos(angle), sin(angle)) for angle in (roll, pitch, yaw))
-    return (
-        (e * c, e * d * b - f * a, e * d * a + f * b),
-        (f * c, f * d * b + e * a, f * d * a - e * b),
-        (-d, c * b, c * a),
-    )

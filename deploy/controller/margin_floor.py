@@ -7,6 +7,9 @@ from typing import Any
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import MARGINS
 
+SOFTEST, HARDEST = 1.0, 1e6
+"""Stiffnesses of a tissue for which anything can be promised [N/m]; K̂_s lies within the same."""
+
 
 def number(key: str, value: Any) -> float:
     """A number, or the word "inf" for infinity, which JSON has no number for.
@@ -37,8 +40,9 @@ def plain_margins(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         if not isinstance(row, Mapping) or set(row) != known:
             raise InputError("margins", row, f"a table of {', '.join(sorted(known))}", "Give each of them once.")
         values = {key: number(key, row[key]) for key in sorted(known)}
-        if not 0.0 < values["stiffness"] < math.inf:
-            raise InputError("stiffness", values["stiffness"], "positive and finite [N/m]", "Give the tissue's own.")
+        if not SOFTEST <= values["stiffness"] <= HARDEST:
+            bound = f"in [{SOFTEST:g}, {HARDEST:g}] N/m"
+            raise InputError("stiffness", values["stiffness"], bound, "Give the tissue's own.")
         plain.append(values)
     if not plain:
         raise InputError("margins", "none", "given for at least one stiffness", "Evaluate them where it will be used.")

@@ -73,8 +73,10 @@ def margins_at(artifact: Artifact, stiffness: float) -> dict[str, float]:
     contact = _contact(artifact, stiffness)
     gains = constant_reference(artifact.gains)._replace(guard=None, schedule=None)
     loops = [_cut(gains, contact, at_a) for at_a in ((False,) if artifact.loop.ideal else (False, True))]
-    whole = loops[0].A + np.outer(loops[0].B, loops[0].C) / (1.0 - loops[0].D)
-    radius = float(np.max(np.abs(np.linalg.eigvals(whole))))
+    with np.errstate(all="ignore"):  # what overflows is no loop
+        whole = loops[0].A + np.outer(loops[0].B, loops[0].C) / (1.0 - loops[0].D)
+    finite = np.all(np.isfinite(whole))
+    radius = float(np.max(np.abs(np.linalg.eigvals(whole)))) if finite else math.inf
     if not radius < 1.0:
         lost = dict.fromkeys(MARGINS, math.nan)
         return lost | {"stiffness": stiffness, "M_s": math.inf, "spectral_radius": radius}

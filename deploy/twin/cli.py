@@ -24,7 +24,7 @@ _MODES = ("e-stop", "idle", "active")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    from deploy.bus.bus import add_arguments
+    from deploy.bus.interface import add_arguments
 
     parser.add_argument("--experiment", help="tissue, heart and arm of a TOML file, or of a published experiment")
     parser.add_argument("--stiffness", type=float, metavar="N/m", help="of the tissue (810, or the experiment's)")
@@ -124,7 +124,7 @@ def _interface(args: argparse.Namespace, server: "Server") -> "RawBus | None":
     Raises:
         BusError: It cannot be opened.
     """
-    from deploy.bus.bus import open_interface
+    from deploy.bus.interface import open_interface
     from deploy.twin.raw_bus import RawBus
 
     if not hasattr(args, "interface"):

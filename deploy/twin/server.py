@@ -15,44 +15,18 @@ from contextlib import suppress
 from typing import Any
 
 from deploy.puck.frame import Frame
+from deploy.twin.client import Client, Conversation
 from deploy.twin.raw_bus import RawBus
-from deploy.twin.slcan import Slcan
 from deploy.twin.socketcand import Socketcand
 from deploy.twin.twin import MILLISECOND, Twin
 
-Conversation = Socketcand | Slcan
-"""How frames are written to and read from one client."""
 HOST = "127.0.0.1"
 GIVEN_UP_S = 0.1
 """Lag beyond which the twin's time stands still instead of running after the clock [s]."""
-_LARGEST_BACKLOG = 1 << 20
-"""Bytes that a client may leave unread."""
 MOST_CLIENTS = 32
 """Programs at once. Where there are more, the oldest connection that has never spoken gives way, else the new one."""
 ASKED_EVERY_S = 1e-4
 """How often an interface is asked for frames that cannot say when there are some [s]."""
-
-
-class _Client:
-    """A program on the bus, behind a file descriptor."""
-
-    def __init__(self, file: Any, protocol: Conversation) -> None:
-        self.file, self.protocol, self.spoke = file, protocol, False
-        self.backlog = bytearray(protocol.greeting)
-
-    def flush(self) -> None:
-        """Write what the descriptor takes.
-
-        Raises:
-            OSError: The client has gone.
-        """
-        if self.backlog:
-            try:
-                del self.backlog[: os.write(self.file.fileno(), self.backlog)]
-            except BlockingIOError:
-                pass
-            if len(self.backlog) > _LARGEST_BACKLOG:
-                raise OSError("the client does not read")
 
 
 class Server:
@@ -74,7 +48,7 @@ class Server:
             OSError: The port is taken.
         """
         self.twin, self.counters = twin, Counter[str]()
-        self._selector, self._clients = selectors.EpollSelector(), list[_Client]()
+        self._selector, self._clients = selectors.EpollSelector(), list[Client]()
         self._buses = list[RawBus]()
         self._spare = os.open(os.devnull, os.O_RDONLY)
         self._listener = None if port is None else socket.create_server((HOST, port))
@@ -95,7 +69,7 @@ class Server:
 
     def attach(self, file: Any, protocol: Conversation) -> None:
         """Put a program on the bus, behind a descriptor that does not block."""
-        client = _Client(file, protocol)
+        client = Client(file, protocol)
         self._clients.append(client)
         self.counters["clients"] += 1
         self._selector.register(file, selectors.EVENT_READ, lambda: self._hear(client))
@@ -186,7 +160,7 @@ class Server:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.attach(connection, Socketcand())
 
-    def _no_descriptor(self, silent: _Client | None) -> None:
+    def _no_descriptor(self, silent: Client | None) -> None:
         """Let the silent one make room; else the spare descriptor goes to who knocks, lest he does so for ever."""
         assert self._listener is not None
         self.counters["clients refused"] += 1
@@ -207,7 +181,7 @@ class Server:
         if bus.hopeless:
             self.stop()
 
-    def _hear(self, client: _Client) -> None:
+    def _hear(self, client: Client) -> None:
         try:
             data = os.read(client.file.fileno(), 65536)
             if isinstance(client.file, socket.socket) and hasattr(socket, "TCP_QUICKACK"):
@@ -225,7 +199,7 @@ class Server:
         client.spoke = client.spoke or bool(answer or frames)
         self._take(frames, client)
 
-    def _take(self, frames: list[Frame], sender: _Client | RawBus) -> None:
+    def _take(self, frames: list[Frame], sender: Client | RawBus) -> None:
         """Give a program's frames to the robot and to the other programs."""
         for frame in frames:
             if not self.twin.bus_off:
@@ -241,7 +215,7 @@ class Server:
                 self._write(client)
         self._was_off = off
 
-    def _deliver(self, frames: list[Frame], sender: _Client | RawBus | None = None) -> None:
+    def _deliver(self, frames: list[Frame], sender: Client | RawBus | None = None) -> None:
         """Give frames to all programs but the one that sent them."""
         now = time.monotonic()
         for bus in self._buses:
@@ -253,13 +227,13 @@ class Server:
                 client.backlog += b"".join(client.protocol.say(frame, self.twin.now) for frame in frames)
             self._write(client)
 
-    def _write(self, client: _Client) -> None:
+    def _write(self, client: Client) -> None:
         try:
             client.flush()
         except OSError:
             self._drop(client)
 
-    def _drop(self, client: _Client) -> None:
+    def _drop(self, client: Client) -> None:
         if client in self._clients:
             self._clients.remove(client)
             self._selector.unregister(client.file)

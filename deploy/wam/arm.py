@@ -141,14 +141,15 @@ class WamArm:
             self._doubt[i] = (doubt - 1 if doubt else 0) if self._answers[i] else DOUBT
             self._waiting += self._doubt[i] > 0
             self._answers[i], self._new[i] = 0, None
-        sent = self.bus.send(self._positions)
+        # After an error few frames are still tried: they are for letting the arm go, not for questions.
+        sent = self.bus.state == "active" and self.bus.send(self._positions)
         for frame in self.sensor.request():
-            sent = self.bus.send(frame) and sent
+            sent = sent and self.bus.send(frame)
         if self._ask_mode:
             self._ask_mode = False
-            sent = self.bus.send(self._polls[0]) and sent
+            sent = sent and self.bus.send(self._polls[0])
         elif self.cycle % self._poll_every == 0:
-            sent = self.bus.send(self._polls[self.cycle // self._poll_every % len(self._polls)]) and sent
+            sent = sent and self.bus.send(self._polls[self.cycle // self._poll_every % len(self._polls)])
         return sent
 
     def collect(self, deadline_ns: int) -> Reading:

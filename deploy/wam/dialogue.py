@@ -5,12 +5,18 @@ from typing import Final, Protocol
 
 from deploy.bus.bus import Bus
 from deploy.errors import BusError
-from deploy.puck.codec import Position, PropertyReply, decode, get, set_value
+from deploy.puck.codec import SAFETY_MODULE, SENSOR, Position, PropertyReply, decode, get, set_value
 from deploy.puck.frame import Frame
 
 NS: Final = 1_000_000_000
 TRIES: Final = 3
 """Times that a question is asked: one frame may be lost."""
+NAMES: Final = {SAFETY_MODULE: "the safety module", SENSOR: "the force sensor"}
+
+
+def name_of(node: int) -> str:
+    """A node, for people."""
+    return NAMES.get(node, f"puck {node}")
 
 
 class Clock(Protocol):
@@ -64,6 +70,18 @@ class Dialogue:
             if (node, number) in self.properties:
                 return self.properties[node, number]
         return None
+
+    def must(self, node: int, number: int) -> int:
+        """A node's property.
+
+        Raises:
+            BusError: It does not answer, or the bus takes no frames.
+        """
+        value = self.ask(node, number)
+        if value is None:
+            said = f"{name_of(node)} stopped answering (property {number})"
+            raise BusError(f"{said}: check its cable and that it has power")
+        return value
 
     def ask_positions(self, question: Frame, nodes: Sequence[int], timeout_s: float = 0.05) -> list[int] | None:
         """The positions of all these nodes [counts], None if one of them does not answer."""

@@ -5,31 +5,22 @@ The pendant activates, never this: everything here leaves the pucks idle.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import floor, pi
 from typing import Final
 
 from deploy.bus.bus import Bus
-from deploy.controller.limits import MECHANICAL_STOPS
 from deploy.errors import BusError, CalibrationError
 from deploy.force.sensor import ForceSensor
 from deploy.puck import properties
 from deploy.puck.codec import GROUPS, PUCKS, SAFETY_MODULE, SENSOR, get
 from deploy.puck.pendant import decode_pendant
 from deploy.wam.arm import WamArm
-from deploy.wam.dialogue import NS, Clock, Dialogue
+from deploy.wam.dialogue import NS, Clock, Dialogue, name_of
+from deploy.wam.homing import HOME, set_home, within_stops
 from deploy.wam.pucks import PuckInfo, Pucks
-from jaxmpc.law.scalar import apply
-from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
-from jaxmpc.law.vectors import Vector4
 
-HOME: Final[Vector4] = (0.0, -2.0, 0.0, 3.13)
-"""Joint angles of libbarrett's home position [rad]."""
 IGNORED_VELOCITIES: Final = 5
 """Entries of the safety module's velocity history that are void while positions jump (libbarrett)."""
-STOP_TOLERANCE: Final = 0.19
-"""Half a turn of the motor that turns its joint furthest [rad]: what homing can be wrong by (wam.md §1.3)."""
 OTHERS: Final = "somebody else commands on this bus: stop the other program, then start again"
-NAMES: Final = {SAFETY_MODULE: "the safety module", SENSOR: "the force sensor"}
 QUIET_S: Final = 0.05
 """How long is listened before a word is said [s]: a controller at work sends a hundred frames in that time."""
 LINK_S: Final = 1.0
@@ -83,38 +74,29 @@ def startup(
     for node in (*PUCKS, *sorted(asked)):
         if node not in status:
             remedy = "check its cable and its light" if node == SENSOR else "check its light and cable in the arm"
-            raise BusError(f"{_name(node)} does not answer: {remedy}, and that no other node has its number")
+            raise BusError(f"{name_of(node)} does not answer: {remedy}, and that no other node has its number")
     if more := [node for node in (5, 6, 7) if node in status]:
         raise BusError(f"puck {more[0]} answers too: this is a WAM with 7 joints, and only one with 4 is driven here")
     for name in ("VL1", "VL2", "TL1", "TL2"):
         for command in ("DEF", "LOAD"):
             talk.order(SAFETY_MODULE, safety(command), safety(name), then_s=0.01)
     for name in ("VL2", "TL2"):
-        if not _must(talk, SAFETY_MODULE, safety(name)) > 0:
+        if not talk.must(SAFETY_MODULE, safety(name)) > 0:
             raise CalibrationError(f"the safety module never faults ({name} = 0): set its limits with btutil")
     _wake(talk, status, (*PUCKS, *asked), report)
     talk.order(GROUPS["wam"], MODE, properties.MODE_IDLE, then_s=0.01)
     pucks = Pucks(tuple(_read_puck(talk, node) for node in PUCKS))
     ignore = partial(talk.order, SAFETY_MODULE, safety("IFAULT"), IGNORED_VELOCITIES, 0.01)
     question = get(GROUPS["wam"], pucks.number("P"))
-    if _must(talk, SAFETY_MODULE, safety("ZERO")) != 1:
+    zero = safety("ZERO")
+    if talk.must(SAFETY_MODULE, zero) != 1:
         if not home:
             raise CalibrationError(
                 "the arm does not know where it is (ZERO is not set): fold it to its home position by hand, "
                 "then start again and say so (--home)"
             )
         ignore()
-        counts = pucks.counts(_home(talk, pucks, home_angles, zero_angles))
-        for info, count in zip(pucks.infos, counts, strict=True):
-            talk.order(info.node, info.number("P"), count, then_s=0.001)
-        talk.order(SAFETY_MODULE, safety("ZERO"), 1, then_s=0.015)
-        now = talk.ask_positions(question, pucks.nodes)
-        zeroed = _must(talk, SAFETY_MODULE, safety("ZERO")) == 1
-        near = now is not None and all(
-            abs(a - b) < info.counts_per_turn // 8 for a, b, info in zip(now, counts, pucks.infos, strict=True)
-        )
-        if not (zeroed and near):
-            raise CalibrationError("the home position was not taken: hold the arm still and start again")
+        set_home(talk, pucks, question, zero, home_angles, zero_angles)
         report("home position set")
     elif home:
         report("the arm knows its position already: home was not set again")
@@ -123,7 +105,7 @@ def startup(
     if counts_now is None:
         missing = next(node for node in pucks.nodes if node not in talk.positions)
         raise BusError(f"puck {missing} does not tell its position when all are asked: check its GRPC (4) with btutil")
-    _within_stops(pucks.angles(counts_now))
+    within_stops(pucks.angles(counts_now))
     if bus.counters.hosts:
         raise BusError(OTHERS)
     bus.listen_to((*PUCKS, *asked, SAFETY_MODULE))
@@ -174,13 +156,13 @@ def _idle_safety_module(
     """Wait until the safety module is idle; its firmware's version."""
     if SAFETY_MODULE not in status:
         raise BusError("the safety module does not answer: check its cable and that it has power")
-    version = _must(talk, SAFETY_MODULE, VERS)
-    role = _must(talk, SAFETY_MODULE, ROLE) & 0x1F
+    version = talk.must(SAFETY_MODULE, VERS)
+    role = talk.must(SAFETY_MODULE, ROLE) & 0x1F
     if role != properties.ROLES.index("safety"):
         raise BusError(f"node {SAFETY_MODULE} is no safety module (role {role}): check who is on this bus")
     deadline = talk.clock.now() + int(patience_s * NS)
     told = None
-    while (mode := _must(talk, SAFETY_MODULE, MODE)) != properties.SAFETY_IDLE:
+    while (mode := talk.must(SAFETY_MODULE, MODE)) != properties.SAFETY_IDLE:
         said = {
             properties.SAFETY_E_STOP: "in e-stop: release the e-stop and press Shift-idle on the pendant",
             properties.SAFETY_ACTIVE: "active: press Shift-idle on the pendant",
@@ -195,7 +177,7 @@ def _idle_safety_module(
 
 
 def _no_faults(talk: Dialogue, pen: int) -> None:
-    faults = decode_pendant(_must(talk, SAFETY_MODULE, pen)).faults
+    faults = decode_pendant(talk.must(SAFETY_MODULE, pen)).faults
     if faults:
         shown = " and ".join(faults)
         raise BusError(
@@ -209,58 +191,19 @@ def _wake(talk: Dialogue, status: dict[int, int], nodes: Sequence[int], report: 
     for node in asleep:
         talk.order(node, STAT, properties.STAT_READY, then_s=0.01)
     if asleep:
-        report(f"waking {', '.join(map(_name, asleep))}")
+        report(f"waking {', '.join(map(name_of, asleep))}")
         talk.listen(1.0)
     for node in nodes:
-        if (now := _must(talk, node, STAT)) != properties.STAT_READY:
+        if (now := talk.must(node, STAT)) != properties.STAT_READY:
             what = "reports an error" if now == properties.STAT_ERROR else "does not wake"
-            raise BusError(f"{_name(node)} {what} (STAT {now}): switch the arm off and on; if it stays, ask btutil")
+            raise BusError(f"{name_of(node)} {what} (STAT {now}): switch the arm off and on; if it stays, ask btutil")
 
 
 def _read_puck(talk: Dialogue, node: int) -> PuckInfo:
-    version, role = _must(talk, node, VERS), _must(talk, node, ROLE)
+    version, role = talk.must(node, VERS), talk.must(node, ROLE)
     number = partial(properties.number, kind="motor", version=version)
-    group = _must(talk, node, number("GRPB"))
+    group = talk.must(node, number("GRPB"))
     if group != GROUPS["torque"] & 0x1F:
         raise CalibrationError(f"puck {node} listens to torques of group {group}, not 1: set its GRPB with btutil")
-    pidx, cts, ipnm, mt = (_must(talk, node, number(name)) for name in ("PIDX", "CTS", "IPNM", "MT"))
+    pidx, cts, ipnm, mt = (talk.must(node, number(name)) for name in ("PIDX", "CTS", "IPNM", "MT"))
     return PuckInfo(node, pidx, version, role, cts, ipnm, mt)
-
-
-def _home(talk: Dialogue, pucks: Pucks, home: Sequence[float], zero: Sequence[float] | None) -> Sequence[float]:
-    """Joint angles of home, corrected by where the absolute encoders stand in their turn.
-
-        home − M wrap(T home + zero − 2π MECH/CTS)
-
-    Raises:
-        CalibrationError: A puck cannot tell that.
-    """
-    if zero is None:
-        return home
-    errors = []
-    for info, motor, angle in zip(pucks.infos, apply(JOINT_TO_MOTOR, tuple(map(float, home))), zero, strict=True):
-        if info.version < 118 or not info.role & properties.ROLE_ABSOLUTE_ENCODER:
-            remedy = "start without a zero calibration"
-            raise CalibrationError(f"puck {info.node} has no absolute encoder, or firmware before 118: {remedy}")
-        mech = _must(talk, info.node, info.number("MECH"))
-        error = motor + angle - 2.0 * pi * mech / info.counts_per_turn
-        errors.append(error - 2.0 * pi * floor(error / (2.0 * pi) + 0.5))
-    return [angle - error for angle, error in zip(home, apply(MOTOR_TO_JOINT, tuple(errors)), strict=True)]
-
-
-def _within_stops(angles: Vector4) -> None:
-    for joint, (angle, (low, high)) in enumerate(zip(angles, MECHANICAL_STOPS, strict=True), start=1):
-        if not low - STOP_TOLERANCE <= angle <= high + STOP_TOLERANCE:
-            said = f"joint {joint} says {angle:.2f} rad, beyond its stops at {low} and {high}"
-            raise CalibrationError(f"{said}: the home position was wrong, press the e-stop, release it and home again")
-
-
-def _must(talk: Dialogue, node: int, number: int) -> int:
-    value = talk.ask(node, number)
-    if value is None:
-        raise BusError(f"{_name(node)} stopped answering (property {number}): check its cable and that it has power")
-    return value
-
-
-def _name(node: int) -> str:
-    return NAMES.get(node, f"puck {node}")

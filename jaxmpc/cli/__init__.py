@@ -34,6 +34,7 @@ VERBS = {
         "jaxmpc.cli.identify", "joint friction and mass error of the arm from a recording of its own motion"
     ),
     "check": Verb("deploy.cli.check", "replay a frozen controller's golden trace, print its limits and margins"),
+    "sign": Verb("deploy.cli.sign", "say with an Ed25519 key who froze a controller"),
     "doctor": Verb("deploy.cli.doctor", "is this machine, its bus and its clock fit to run a controller?"),
     "twin": Verb(
         "deploy.twin.cli",

@@ -154,6 +154,11 @@ def test_a_model_without_a_table_is_refused(opened):
         ),
         ("arm.limits.torque_rates", [1.0] * 4, "limits.torque_rates = unknown"),
         ("loop.ideal", True, "margins = of the ideal loop: must be those of the loop as it runs"),
+        (
+            "margins.0.stiffness",
+            14.9,
+            "stiffness = 14.9: must be at least 15 N/m, into which the force limit sinks the tip",
+        ),
         ("margins.2.spectral_radius", 1.01, "spectral_radius at 1900 N/m = 1.01: must be below 1"),
         ("T_s", 2e-3, "deviation from the golden t"),
         ("K2", 10.0001, "deviation from the golden trace"),

@@ -30,6 +30,7 @@ class Wire(can.BusABC):
         super().__init__(channel="wire")
         self._is_shutdown = True  # nothing to give back
         self.now_ns, self.queue, self.sent, self.refuse = 0, deque(), [], False
+        self.errors = []
 
     def now(self):
         return self.now_ns
@@ -38,6 +39,8 @@ class Wire(can.BusABC):
         self.queue.append((self.now_ns if at is None else at, frame))
 
     def _recv_internal(self, timeout):
+        if self.errors:
+            return self.errors.pop(), False
         if not self.queue or self.queue[0][0] > self.now_ns + timeout * 1e9:
             self.now_ns += int(timeout * 1e9)
             return None, False
@@ -326,3 +329,18 @@ def test_memory_does_not_grow(rig):
     run(2000)
     gc.collect()
     assert abs(sys.getallocatedblocks() - before) < 200
+
+
+@pytest.mark.parametrize("noticed", ["in sending", "in an error frame"])
+def test_after_an_error_the_few_tries_go_to_letting_go_and_not_to_questions(rig, noticed):
+    rig.cycle(*positions(), FORCE, MOMENT)
+    if noticed == "in sending":
+        rig.wire.refuse = True
+    else:
+        rig.wire.errors.append(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+    assert not rig.arm.request()
+    rig.wire.refuse, rig.wire.sent = False, []
+    orders = rig.arm.torque_frame((0.0, 0.0, 0.0, 0.0)), *rig.arm.idle_frames()
+    assert all(rig.bus.send(frame) for frame in orders)
+    assert not rig.arm.request()
+    assert rig.wire.sent == list(orders)

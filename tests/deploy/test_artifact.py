@@ -102,7 +102,9 @@ def test_each_wrong_header_has_its_sentence(data, changes, message):
         ({"M_s": "inf"}, "M_s at 1900 N/m = inf: must be at most 2"),
         ({"gain_reduction_db": 5.9}, "gain_reduction_db at 1900 N/m = 5.9 dB: must be at least 6 dB"),
         ({"phase_margin_deg": None}, "phase_margin_deg = None: must be a number"),
-        ({"stiffness": 0.0}, "stiffness = 0.0: must be positive"),
+        ({"stiffness": 0.0}, r"stiffness = 0.0: must be in \[1, 1e\+06\] N/m"),
+        ({"stiffness": 0.999}, r"stiffness = 0.999: must be in"),
+        ({"stiffness": 1.7e308}, r"stiffness = 1.7e\+308: must be in"),
         ({"surplus": 1.0}, "must be a table of"),
     ],
 )

@@ -7,7 +7,8 @@ import can
 import pytest
 
 from deploy.bus import bus as bus_module
-from deploy.bus.bus import SENDS_AFTER_ERROR, Bus, add_arguments, open_bus
+from deploy.bus.bus import SENDS_AFTER_ERROR, Bus
+from deploy.bus.interface import add_arguments, open_bus
 from deploy.errors import BusError
 from deploy.puck.frame import Frame
 

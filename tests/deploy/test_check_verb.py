@@ -85,6 +85,11 @@ def test_an_unstable_loop_that_is_declared_stable_is_told(arm_artifact, tmp_path
     assert "spectral_radius at 20000 N/m: declared 0.98, computed 1." in capsys.readouterr().out
 
 
+def test_margins_of_what_cannot_be_computed_are_none(arm_artifact):
+    row = margins_at(arm_artifact, 1e308)
+    assert row["spectral_radius"] == row["M_s"] == float("inf")
+
+
 def test_a_reader_who_has_had_enough_is_no_failure(arguments, tmp_path):
     path = tmp_path / "controller.npz"
     freeze(path, **arguments)
