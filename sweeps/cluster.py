@@ -1,6 +1,8 @@
 """Dask.distributed computes: workers on this machine or on many; this process alone writes."""
 
+import queue
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any
 
 from jaxmpc.files.errors import InputError
@@ -87,7 +89,7 @@ class DaskCrew(Crew):
                     silence_logs="ERROR",
                 )
             self._client = self._connected(distributed, address or self._local)
-        self._distributed = distributed
+        self._landed: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     @staticmethod
     def _connected(distributed: Any, where: Any) -> Any:
@@ -116,10 +118,9 @@ class DaskCrew(Crew):
                         return
                     share.wait(stop)
                     continue
-                done = self._landed(flying)
-                for future in done:
-                    stretch = flying.pop(future)
-                    yield self._piece(future, stretch, pace)
+                with suppress(queue.Empty):
+                    future = self._landed.get(timeout=PATIENCE)
+                    yield self._chunk(future, flying.pop(future), pace)
         finally:
             self._client.cancel(list(flying))
             for stretch in flying.values():
@@ -134,14 +135,9 @@ class DaskCrew(Crew):
                 return
             future = self._client.submit(worked, plan, *stretch, self._cores, pure=False)
             flying[future] = stretch
+            future.add_done_callback(self._landed.put)
 
-    def _landed(self, flying: dict[Any, Stretch]) -> list[Any]:
-        try:
-            return list(self._distributed.wait(list(flying), timeout=PATIENCE, return_when="FIRST_COMPLETED").done)
-        except TimeoutError:
-            return []
-
-    def _piece(self, future: Any, stretch: Stretch, pace: Pace) -> ComputedChunk:
+    def _chunk(self, future: Any, stretch: Stretch, pace: Pace) -> ComputedChunk:
         try:
             columns, environment, rows, seconds = future.result()
         # Of any type: whatever is wrong with these rows, the others are still wanted.
