@@ -102,7 +102,12 @@ def _sweep(args: argparse.Namespace) -> int:
     plan = make_plan(spec)
     if args.chunk is not None:
         check_chunk(plan, args.chunk)
-    begun = store.check(folder, plan)
+    if spec.refine is not None:
+        from sweeps.refine.run import check as check_refined
+
+        begun = check_refined(folder, spec)
+    else:
+        begun = store.check(folder, plan)
     left_out = plan.space.count - len(plan.rows) if plan.space.only is None else 0
     print(f"sweep {spec.name}, spec {plan.spec_hash[:12]}\n{describe(plan)}")
     print(f"  rows        {len(plan.rows)}" + (f" ({left_out} more with Hu > Hp are left out)" if left_out else ""))
@@ -125,14 +130,17 @@ def _run(
     crew: "MakeCrew",
     args: argparse.Namespace,
 ) -> int:
+    from functools import partial
+
     from sweeps import rates
     from sweeps.leases import SILENCE, given_up
+    from sweeps.refine.run import run as run_refined
     from sweeps.run import SweepStoppedError
-    from sweeps.run import run as run_sweep
+    from sweeps.run import run as run_plain
 
-    began = time.monotonic()
+    began, told = time.monotonic(), partial(print, flush=True)
     try:
-        result = run_sweep(
+        result = (run_plain if spec.refine is None else partial(run_refined, told=told))(
             spec,
             folder,
             chunk=args.chunk,
@@ -155,9 +163,9 @@ def _run(
     if result.complete:
         print(f"result {result.hash}\nnext: jaxmpc sweep report {folder}")
         return 0
-    if aside := given_up(folder):
+    if aside := given_up(folder if not result.stages else folder / "stages" / result.stages[-1][0]):
         for (first, last), reason in aside.items():
-            rows = f"{plan.rows[first]} … {plan.rows[last - 1]}"
+            rows = f"{result.plan.rows[first]} … {result.plan.rows[last - 1]}"
             print(f"jaxmpc sweep: rows {rows} are set aside: {reason}", file=sys.stderr)
         print("jaxmpc sweep: --retry tries them again", file=sys.stderr)
         return 1
@@ -219,6 +227,8 @@ def _dry_run(spec: "SweepSpec", plan: "Plan", cores: int, args: argparse.Namespa
         parts = f"{took.compile_s:.0f} s to compile, then {took.rate:.0f} rows/s"
         print(f"  time        {took.seconds:.0f} s from nothing: {parts} (from {took.like})")
         print(f"  chunks      {max(1, round(took.rows / took.rate / 5.0))} of some seconds each")
+    if spec.refine is not None:
+        print(f"  refined by  {spec.refine.method}: what stands above is of all rows on the spec's own experiment")
     print("dry run: nothing was written")
     return 0
 

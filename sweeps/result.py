@@ -16,12 +16,13 @@ Quantities (`jaxmpc.quantities`, here `MEASURED`) say unit, sense, digits and te
 
 import hashlib
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from jaxmpc.experiment import Experiment
@@ -36,6 +37,7 @@ from sweeps.front import front
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.plan import Plan
 from sweeps.rows import experiment_of, meetings, world_of
+from sweeps.space import SweepSpace
 
 if TYPE_CHECKING:
     import pandas
@@ -103,7 +105,10 @@ class Result:
         folder = Path(folder)
         stages = [(path.name, Result.load(path)) for path in store.stage_folders(folder)]
         if stages:
-            return replace(stages[-1][1], stages=tuple(stages))
+            rounds = [result for name, result in stages if name.endswith(("-full", "-around"))]
+            last = stages[-1][1]
+            around = stages[-1][0].endswith("-around")
+            return replace(merged(rounds) if around else last, stages=tuple(stages))
         plan = store.read_plan(folder)
         columns, there = store.read_chunks(folder, plan)
         rows = columns if there.all() else {name: values[there] for name, values in columns.items()}
@@ -277,3 +282,34 @@ class Result:
         for name, limit in goal.constraints.items():
             good = good & MEASURED[name].kept(self.worst(name), limit)
         return good
+
+
+def _joined(name: str, results: Sequence[Result]) -> SweepAxis:
+    """An axis whose points are those of every row, in order."""
+    values: list[Any] = []
+    labels: list[str] = []
+    for result in results:
+        axis = next(axis for axis in result.axes if axis.name == name)
+        entries = result[name].tolist()
+        values += entries if axis.numeric else [axis.values[int(entry)] for entry in entries]
+        labels += [axis.labels[int(entry)] for entry in entries] if axis.labels else []
+    return SweepAxis(name, axis.scale, tuple(values), axis.relative, tuple(labels))
+
+
+def merged(results: Sequence[Result]) -> Result:
+    """Rows of several sweeps of the same axes as one, whose rows are numbered anew; one alone stays as it is.
+
+    Args:
+        results: At least one.
+    """
+    first = results[0]
+    if len(results) == 1:
+        return first
+    columns = {name: np.concatenate([result[name] for result in results]) for name in first.columns}
+    columns["row"] = np.arange(len(columns["row"]))
+    factor = tuple(_joined(axis.name, results) for axis in first.axes)
+    columns |= {axis.name: axis.column() for axis in factor}
+    space = SweepSpace("grid", (factor,), len(columns["row"]), 0, first.plan.space.horizons)
+    canonical = {**first.plan.canonical, "space": msgspec.to_builtins(space)}
+    plan = Plan(msgspec.json.decode(msgspec.json.encode(canonical)), first.plan.files, first.goal)
+    return Result(plan, columns, first.baseline)

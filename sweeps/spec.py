@@ -6,13 +6,13 @@ from typing import Any
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
 from jaxmpc.synthesis.params import Params
 from sweeps.goal import MEASURED, SweepGoal, columns_kept
 from sweeps.reading import read_space, stiffness_set
 from sweeps.space import SweepSpace
-from sweeps.tables import OnError, Precision, SweepTable
+from sweeps.tables import OnError, Precision, RefineTable, SweepTable
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class SweepSpec:
         goal: How rows are ranked; no part of the spec's hash.
         kept: Metrics and margins that are kept.
         on_error: What to do about a chunk that cannot be computed; no part of the spec's hash.
+        refine: How it goes on from there (`sweeps.refine`); None is not at all.
     """
 
     experiment: Experiment
@@ -38,6 +39,7 @@ class SweepSpec:
     goal: SweepGoal = field(default_factory=SweepGoal)
     kept: tuple[str, ...] = tuple(MEASURED)
     on_error: OnError = "keep"
+    refine: RefineTable | None = None
 
     @staticmethod
     def from_toml(path: str | Path) -> "SweepSpec":
@@ -62,7 +64,7 @@ class SweepSpec:
         Raises:
             InputError: A key is unknown, or a value of the wrong type or out of bounds.
         """
-        known_tables(data, ("experiment", "params", "sweep"))
+        known_tables(data, ("experiment", "params", "sweep", "refine"))
         if "sweep" not in data:
             raise InputError("sweep", "missing", "a table", 'Add [sweep] with kind = "grid" and [sweep.axes].')
         known_keys(SweepTable, data["sweep"], "sweep")
@@ -75,10 +77,60 @@ class SweepSpec:
         goal = SweepGoal(table.best) if table.constraints is None else SweepGoal(table.best, table.constraints)
         space = read_space(table, params, experiment)
         kept = columns_kept(table.columns, goal)
-        return SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)
+        spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)
+        return replace(spec, refine=_refine(data["refine"], spec)) if "refine" in data else spec
+
+    def on(self, changes: dict[str, Any], root: str = "experiment") -> "SweepSpec":
+        """The same sweep on a changed experiment.
+
+        Args:
+            changes: Keys of the experiment; those of a table change that key alone.
+            root: Name of the table that they stand in, for messages.
+
+        Raises:
+            InputError: They do not make an experiment.
+        """
+        data = self.experiment.to_dict()
+        for key, value in changes.items():
+            merge = isinstance(value, dict) and isinstance(data.get(key), dict)
+            data[key] = {**data[key], **value} if merge else value
+        return replace(self, experiment=Experiment.from_dict(data, root=root))
 
     def only(self, rows: tuple[int, ...]) -> "SweepSpec":
         """The same sweep of some rows alone, which keep their numbers and their bits."""
         from msgspec.structs import replace as changed
 
         return replace(self, space=changed(self.space, only=tuple(sorted(rows))))
+
+
+def _refine(data: Any, spec: SweepSpec) -> RefineTable:
+    """The table [refine], checked against the sweep that it refines.
+
+    Raises:
+        InputError: It does not go with the sweep.
+    """
+    known_keys(RefineTable, data, "refine")
+    table = convert(data, RefineTable, "refine")
+    for key, wanted in (("stages", "halving"), ("rounds", "pareto"), ("points", "pareto"), ("goals", "pareto")):
+        if key in data and table.method != wanted:
+            raise InputError(f"refine.{key}", "given", f'given with method = "{wanted}"', f"Remove {key}.")
+    if table.method == "halving" and not table.stages:
+        remedy = "Add [[refine.stages]] with keep = 400 and experiment = { duration = 4.0 }, say."
+        raise InputError("refine.stages", "empty", "one stage or more", remedy)
+    if table.method == "none" and table.rerun is None:
+        raise InputError("refine.method", "none", '"halving", "pareto", or with a rerun', "Remove [refine].")
+    if table.method == "pareto":
+        if spec.space.of_worlds:
+            bound = "of parameters of the controller alone"
+            raise InputError("refine.method", "pareto", bound, "Rows of different worlds have no common front.")
+        for goal in table.goals:
+            if goal not in spec.kept:
+                raise InputError("refine.goals", goal, "kept by the sweep", nearest(goal, list(spec.kept)))
+    keeps = [stage.keep for stage in table.stages]
+    if keeps != sorted(keeps, reverse=True):
+        raise InputError("refine.stages", keeps, "ever fewer rows", "A later stage keeps a part of an earlier one.")
+    for i, stage in enumerate(table.stages):
+        spec.on(stage.experiment, f"refine.stages[{i}].experiment")
+    if table.rerun is not None:
+        spec.on(table.rerun.experiment, "refine.rerun.experiment")
+    return table

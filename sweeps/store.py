@@ -27,6 +27,7 @@ from sweeps.machine import environment
 from sweeps.plan import SCHEMA, Columns, Plan
 
 DAMAGED = ".damaged"
+REFINED = "jaxmpc-refine/1"
 log = logging.getLogger(__name__)
 
 
@@ -63,6 +64,51 @@ def check(folder: Path, plan: Plan) -> bool:
     Raises:
         InputError: It is no folder, holds something else, or the sweep of another spec.
     """
+    if not _begun(folder):
+        return False
+    there = read_plan(folder)
+    if there.spec_hash != plan.spec_hash:
+        raise _another(folder, there.canonical, plan.canonical)
+    return True
+
+
+def check_refined(folder: Path, spec: Mapping[str, Any], spec_hash: str) -> bool:
+    """The same of a refined sweep, whose spec is plain data."""
+    if not _begun(folder):
+        return False
+    there = _read(folder / "manifest.json")
+    if there.get("schema") != REFINED:
+        raise InputError("output folder", folder, "empty or a refined sweep's", "It holds another: choose with -o.")
+    if there.get("spec_hash") != spec_hash:
+        raise _another(folder, there.get("spec", {}), spec)
+    return True
+
+
+def prepare_refined(folder: Path, spec: Mapping[str, Any], spec_hash: str) -> None:
+    """Make the folder of a refined sweep, unless it is there.
+
+    Raises:
+        InputError: See `check`.
+        OSError: The folder cannot be written.
+    """
+    if not check_refined(folder, spec, spec_hash):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomic(folder / "manifest.json", _pretty({"schema": REFINED, "spec_hash": spec_hash, "spec": spec}))
+    (folder / "stages").mkdir(exist_ok=True)
+
+
+def _another(folder: Path, there: Any, here: Any) -> InputError:
+    differing = "; ".join(differences(there, here)[:4])
+    remedy = f"It holds the sweep of another spec ({differing}): choose another with -o."
+    return InputError("output folder", folder, "empty or of the same spec", remedy)
+
+
+def _begun(folder: Path) -> bool:
+    """Whether a sweep has been begun in a folder.
+
+    Raises:
+        InputError: It is no folder, or holds something else.
+    """
     if not folder.exists():
         return False
     if not folder.is_dir():
@@ -72,11 +118,6 @@ def check(folder: Path, plan: Plan) -> bool:
         return False
     if not (folder / "manifest.json").exists():
         raise InputError("output folder", folder, "empty or a sweep's", "It holds other files: choose another with -o.")
-    there = read_plan(folder)
-    if there.spec_hash != plan.spec_hash:
-        differing = differences(there.canonical, plan.canonical)
-        remedy = f"It holds the sweep of another spec ({'; '.join(differing[:4])}): choose another with -o."
-        raise InputError("output folder", folder, "empty or of the same spec", remedy)
     return True
 
 

@@ -55,3 +55,40 @@ class SweepTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Limits that a good row keeps; None is M_s ≤ 2."""
     on_error: OnError = "keep"
     """What to do about a chunk that cannot be computed: set it aside, or stop."""
+
+
+class Stage(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A cheaper experiment before the spec's own, and how many rows go on from it."""
+
+    keep: Annotated[int, msgspec.Meta(ge=1, le=MOST_ROWS)]
+    """Best rows that go on."""
+    experiment: dict[str, Any] = {}
+    """Keys of the experiment to change: a shorter `duration` and `settle`, `physics = "linear"`."""
+
+
+class Rerun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A dearer experiment at the end, for the best rows alone."""
+
+    best: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 10
+    """How many rows."""
+    experiment: dict[str, Any] = msgspec.field(default_factory=lambda: {"physics": "wam"})
+    """Keys of the experiment to change."""
+
+
+class RefineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The table [refine] of a spec."""
+
+    method: Literal["halving", "pareto", "none"] = "none"
+    """"halving": cheap stages first, the spec's experiment for the survivors. "pareto": more rows around the front."""
+    stages: tuple[Stage, ...] = ()
+    """Of halving, in order."""
+    goals: tuple[str, ...] = ("rms", "M_s")
+    """Of pareto: what spans the front."""
+    rounds: Annotated[int, msgspec.Meta(ge=1, le=20)] = 3
+    """Of pareto: how often rows are added."""
+    points: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 256
+    """Of pareto: how many each time."""
+    seed: Seed = 0
+    """Of pareto: of what is drawn around the front."""
+    rerun: Rerun | None = None
+    """What the best rows are run on once more."""
