@@ -93,13 +93,15 @@ def _sweep(args: argparse.Namespace) -> int:
     part = _part(args.part)
     # XLA compiles for one device otherwise than for several, to other last bits: never take just one.
     cores = max(2, args.cores or len(os.sched_getaffinity(0)))
+    from jaxmpc.files.toml import located
     from sweeps import store
     from sweeps.plan import check_chunk, describe, make_plan
     from sweeps.spec import SweepSpec
 
     spec = SweepSpec.from_toml(args.what[0])
     folder = args.out or Path("runs") / spec.name
-    plan = make_plan(spec)
+    with located(args.what[0]):
+        plan = make_plan(spec)
     if args.chunk is not None:
         check_chunk(plan, args.chunk)
     if spec.refine is not None:

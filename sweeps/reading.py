@@ -4,12 +4,15 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys
 from jaxmpc.quantities import PARAMETERS
 from jaxmpc.synthesis.params import Params
 from sweeps.axis import Scale, SweepAxis, choice_only, make_axis
+from sweeps.rows import world_of
 from sweeps.space import Factor, SpaceKind, SweepSpace, make_space
 from sweeps.tables import RANGE_KEYS, Ends, Range, SweepTable
 from sweeps.targets import read, target
@@ -18,6 +21,9 @@ STIFFNESS_SETS: Mapping[str, tuple[float, ...]] = MappingProxyType(
     {"paper": (375.0, 810.0, 1900.0), "family": (375.0, 550.0, 810.0, 1250.0, 1900.0)}
 )
 """Stiffness sets by name [N/m]: the paper's foams, and the knots of the published family."""
+
+MOST_CHECKED = 64
+"""Points of a factor that are tried before anything runs."""
 
 
 def stiffness_set(name: str, own: Mapping[str, Any], key: str) -> tuple[float, ...]:
@@ -54,6 +60,8 @@ def read_space(table: SweepTable, params: Params, experiment: Experiment) -> Swe
             raise InputError("sweep.zip", list(group), "two axes or more", "Write a single axis under [sweep.axes].")
         factors.append(axes)
     _check_bases(factors, params, experiment)
+    for factor in factors:
+        _check_worlds(factor, experiment.to_dict())
     horizons = (float(params.Hp), float(params.Hu))
     return make_space(table.kind, tuple(factors), table.rows or 0, table.seed or 0, horizons)
 
@@ -122,6 +130,23 @@ def _listed(name: str, values: list[Any], given: Range, sets: Mapping[str, Any])
 
 def _frozen(value: Any) -> Any:
     return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
+
+
+def _check_worlds(factor: Factor, data: Mapping[str, Any]) -> None:
+    """Refuse points of a factor that make no experiment with the base; of many points some, the ends among them."""
+    if not any(axis.of_world for axis in factor):
+        return
+    columns = {axis.name: axis.column() for axis in factor}
+    points = min(map(len, columns.values()))
+    for i in np.unique(np.linspace(0, points - 1, min(points, MOST_CHECKED)).astype(int)):
+        entries = tuple(float(columns[axis.name][i]) for axis in factor if axis.of_world)
+        try:
+            Experiment.from_dict(world_of(data, factor, entries))
+        except InputError as error:
+            axis = next((axis for axis in factor if error.key.startswith(axis.name)), factor[0])
+            value = axis.label(float(columns[axis.name][i]))
+            remedy = f"It makes {error.key} = {error.value}. {error.remedy}" if axis.relative else error.remedy
+            raise InputError(f"sweep.axes.{axis.name}", value, error.bound, remedy) from None
 
 
 def _check_bases(factors: list[Factor], params: Params, experiment: Experiment) -> None:
