@@ -342,13 +342,3 @@ def test_five_kills_at_any_moment_change_no_bit(
             kills += 1
         process.communicate()
     assert finish(start(path, folder)) == at_once
-
-
-@pytest.mark.slow
-def test_two_processes_in_one_folder_do_no_harm(
-    write_spec: Callable[[str], Path], spec_text: str, tmp_path: Path
-) -> None:
-    path = write_spec(spec_text)
-    both = [start(path, tmp_path / "run") for _ in range(2)]
-    alone = finish(start(path, tmp_path / "alone"))
-    assert [finish(process) for process in both] == [alone, alone]
