@@ -192,3 +192,14 @@ def test_worlds_that_cannot_be_are_refused(axes: dict[str, object], words: list[
     with pytest.raises(InputError) as caught:
         SweepSpec.from_dict({"sweep": {"kind": "grid", "axes": axes}})
     assert [word for word in words if word not in str(caught.value)] == []
+
+
+GALLERY = sorted((Path(__file__).parents[2] / "docs" / "gallery").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", GALLERY, ids=[path.stem for path in GALLERY])
+def test_the_gallery_has_the_rows_that_it_says(path: Path) -> None:
+    page = (path.parents[1] / "sweeps-gallery.md").read_text(encoding="utf-8")
+    line = next(line for line in page.splitlines() if path.name in line)
+    rows = line.split("|")[3].split(",")[0].split(" on ")[0].split(" in ")[0].replace(" ", "")
+    assert len(make_plan(SweepSpec.from_toml(path)).rows) == int(rows)
