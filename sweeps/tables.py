@@ -81,14 +81,14 @@ class RefineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     method: Literal["halving", "pareto", "none"] = "none"
     """"halving": cheap stages first, the spec's experiment for the survivors. "pareto": more rows around the front."""
     stages: tuple[Stage, ...] = ()
-    """Of halving, in order."""
+    """Halving: the cheap experiments, in order."""
     goals: tuple[str, ...] = ("rms", "M_s")
-    """Of pareto: what spans the front."""
+    """Pareto: what spans the front."""
     rounds: Annotated[int, msgspec.Meta(ge=1, le=20)] = 3
-    """Of pareto: how often rows are added."""
+    """Pareto: how often rows are added."""
     points: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 256
-    """Of pareto: how many each time."""
+    """Pareto: how many each time."""
     seed: Seed = 0
-    """Of pareto: of what is drawn around the front."""
+    """Pareto: seed of what is drawn around the front."""
     rerun: Rerun | None = None
     """What the best rows are run on once more."""

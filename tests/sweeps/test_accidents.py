@@ -27,7 +27,7 @@ def start(path: Path, folder: Path, *more: str) -> "subprocess.Popen[str]":
 
 def finish(process: "subprocess.Popen[str]") -> str:
     """The hash that a run prints at its end."""
-    said, _ = process.communicate(timeout=400)
+    said, _ = process.communicate(timeout=900)
     found = re.search(r"^result ([0-9a-f]{64})$", said, re.MULTILINE)
     assert found, said
     return found[1]
@@ -37,7 +37,7 @@ def chunks(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in (folder / "chunks").glob("0*.npz")}
 
 
-def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:
+def until(condition: Callable[[], bool], seconds: float = 600.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end

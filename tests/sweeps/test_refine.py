@@ -38,6 +38,7 @@ def made(**table: Any) -> SweepSpec:
     return SweepSpec.from_dict({**DATA, "refine": table})
 
 
+@pytest.mark.oracle
 def test_halving_finds_the_best_row_and_resumes(tmp_path: Path) -> None:
     spec = made(method="halving", stages=[STAGE])
     half = refine(spec, tmp_path / "half")
@@ -63,6 +64,7 @@ def test_halving_finds_the_best_row_and_resumes(tmp_path: Path) -> None:
         refine(made(method="halving", stages=[{**STAGE, "keep": 13}]), tmp_path / "half")
 
 
+@pytest.mark.oracle
 def test_rows_around_the_front_move_it_and_are_the_same_every_time(tmp_path: Path) -> None:
     spec = made(method="pareto", rounds=2, points=40, seed=5, rerun={"best": 3, "experiment": {"damping": "sampled"}})
     found = refine(spec, tmp_path / "one")
