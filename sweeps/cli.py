@@ -1,58 +1,81 @@
-"""`jaxmpc sweep`: many controllers over a set of stiffnesses, resumable; `jaxmpc sweep report` shows them."""
+"""`jaxmpc sweep`: many controllers and worlds, resumable, shared among processes; and what came out of them."""
 
 import argparse
-import math
 import os
 import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, nearest
+from sweeps.show.cli import VERBS, counts, show, show_arguments
 
 if TYPE_CHECKING:
     from sweeps.plan import Plan
-    from sweeps.result import Result
+    from sweeps.run import MakeCrew
     from sweeps.spec import SweepSpec
 
-RUN_ONLY = {"dry_run": "--dry-run", "chunk": "--chunk", "quiet": "--quiet", "cores": "--cores"}
-REPORT_ONLY = {"csv": "--csv", "max_ms": "--max-ms", "n": "-n"}
+RUN_ONLY = {
+    "dry_run": "--dry-run",
+    "measure": "--measure",
+    "chunk": "--chunk",
+    "quiet": "--quiet",
+    "cores": "--cores",
+    "part": "--part",
+    "local_workers": "--local-workers",
+    "cluster": "--cluster",
+    "retry": "--retry",
+    "silence": "--lease",
+}
+SHOW_ONLY = {"csv": "--csv", "max_ms": "--max-ms", "n": "-n", "goals": "--goals", "params": "--params"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.usage = (
-        "jaxmpc sweep SPEC.toml [-o DIR] [--dry-run] [--chunk N] [--cores N] [--quiet]\n"
-        "       jaxmpc sweep report DIR [-o FOLDER] [--csv FILE] [--max-ms M] [-n N]"
+        "jaxmpc sweep SPEC.toml [-o DIR] [--dry-run [--measure]] [--part K/N | --local-workers N | --cluster ADDRESS]\n"
+        "       jaxmpc sweep report DIR [-o FOLDER] [--csv FILE] [--max-ms M] [-n N]\n"
+        "       jaxmpc sweep best | pareto | sensitivity DIR [-n N] [--goals A,B] [--params FILE] [--csv FILE]\n"
+        "       jaxmpc sweep row DIR N [--params FILE]"
     )
-    parser.add_argument("what", nargs="+", metavar="SPEC.toml | report DIR", help="the sweep to run, or to report on")
+    parser.add_argument("what", nargs="+", metavar="SPEC.toml | VERB DIR", help="the sweep to run, or what to show")
     parser.add_argument("-o", type=Path, dest="out", help="results (default runs/SPEC) or figures (default DIR/report)")
-    running = parser.add_argument_group("running a sweep")
-    running.add_argument("--dry-run", action="store_const", const=True, help="say what it would take; write nothing")
-    running.add_argument("--chunk", type=int, help="rows of a chunk file; the result does not depend on it")
-    running.add_argument("--cores", type=int, help="CPU cores to use (default: all); the result does not depend on it")
-    running.add_argument("--quiet", action="store_const", const=True, help="no progress")
-    reporting = parser.add_argument_group("reporting")
-    reporting.add_argument("--csv", type=Path, help="also write every row there")
-    reporting.add_argument("--max-ms", type=float, help="largest accepted peak sensitivity M_s (default 2.0)")
-    reporting.add_argument("-n", type=int, help="best rows to list (default 10)")
+    running = parser.add_argument_group("running a sweep; the result depends on none of these")
+
+    def switch(name: str, text: str) -> None:
+        running.add_argument(name, action="store_const", const=True, help=text)
+
+    switch("--dry-run", "say what it would take, from what this machine has computed before; write nothing")
+    switch("--measure", "with --dry-run: compute the first rows to find out")
+    running.add_argument("--chunk", type=int, help="rows of a chunk file (default: a few seconds of work)")
+    running.add_argument("--cores", type=int, help="CPU cores to use (default: all)")
+    running.add_argument("--part", metavar="K/N", help="begin with the K-th of N parts, then help with the others")
+    running.add_argument("--local-workers", type=int, metavar="N", help="N processes of Dask on this machine")
+    running.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, as tcp://HOST:PORT")
+    running.add_argument("--lease", type=float, dest="silence", metavar="S", help=argparse.SUPPRESS)
+    switch("--retry", "try again what was set aside")
+    switch("--quiet", "no progress")
+    show_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run, continue or report on a sweep.
+    """Run or continue a sweep, or show what came out.
 
     Raises:
         InputError: The spec, the folder or the arguments are wrong.
     """
-    reporting = args.what[0] == "report"
-    if len(args.what) != (2 if reporting else 1):
-        raise InputError("arguments", " ".join(args.what), "SPEC.toml, or report DIR", "See `jaxmpc sweep --help`.")
-    for name, flag in (RUN_ONLY if reporting else REPORT_ONLY).items():
+    verb = args.what[0] if args.what[0] in VERBS else None
+    wanted = 1 if verb is None else 3 if verb == "row" else 2
+    if len(args.what) != wanted:
+        known = f"SPEC.toml, or one of {', '.join(VERBS)} with DIR"
+        remedy = "See `jaxmpc sweep --help`." if len(args.what) < 2 else nearest(args.what[0], list(VERBS))
+        raise InputError("arguments", " ".join(args.what), known, remedy)
+    for name, flag in (SHOW_ONLY if verb is None else RUN_ONLY).items():
         if getattr(args, name) is not None:
-            kind = "running a sweep" if reporting else "`jaxmpc sweep report`"
+            kind = "`jaxmpc sweep report` and its like" if verb is None else "running a sweep"
             raise InputError(flag, "given", "left out here", f"It belongs to {kind}.")
     try:
-        return _report(args) if reporting else _sweep(args)
+        return _sweep(args) if verb is None else show(verb, args)
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         print(f"jaxmpc sweep: cannot write: {error.strerror}{where}. Finished chunks are kept.", file=sys.stderr)
@@ -60,97 +83,172 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _sweep(args: argparse.Namespace) -> int:
-    from jaxmpc.terminal.process import use_all_cores
-
-    for name, value in (("--cores", args.cores), ("--chunk", args.chunk)):
+    for name, value in (("--cores", args.cores), ("--chunk", args.chunk), ("--local-workers", args.local_workers)):
         if value is not None and value < 1:
             raise InputError(name, value, "at least 1", "Leave it out for the default.")
+    if args.silence is not None and not args.silence >= 1.0:
+        raise InputError("--lease", args.silence, "at least 1 s", "Leave it out for the default.")
+    if args.measure and not args.dry_run:
+        raise InputError("--measure", "given", "given with --dry-run", "Add --dry-run.")
+    part = _part(args.part)
     # XLA compiles for one device otherwise than for several, to other last bits: never take just one.
-    use_all_cores(max(2, args.cores or len(os.sched_getaffinity(0))))
+    cores = max(2, args.cores or len(os.sched_getaffinity(0)))
+    from jaxmpc.files.toml import located
     from sweeps import store
-    from sweeps.plan import CHUNK, check_chunk, describe, make_plan
-    from sweeps.run import run as run_sweep
+    from sweeps.plan import check_chunk, describe, make_plan
     from sweeps.spec import SweepSpec
 
     spec = SweepSpec.from_toml(args.what[0])
     folder = args.out or Path("runs") / spec.name
-    chunk = args.chunk or CHUNK
-    plan = make_plan(spec)
-    check_chunk(plan, chunk)
-    begun = store.check(folder, plan)
-    left_out = plan.space.count - len(plan.rows)
+    with located(args.what[0]):
+        plan = make_plan(spec)
+    if args.chunk is not None:
+        check_chunk(plan, args.chunk)
+    if spec.refine is not None:
+        from sweeps.refine.run import check as check_refined
+
+        begun = check_refined(folder, spec)
+    else:
+        begun = store.check(folder, plan)
+    left_out = plan.space.count - len(plan.rows) if plan.space.only is None else 0
     print(f"sweep {spec.name}, spec {plan.spec_hash[:12]}\n{describe(plan)}")
     print(f"  rows        {len(plan.rows)}" + (f" ({left_out} more with Hu > Hp are left out)" if left_out else ""))
     print(f"  results     {folder}" + (", continued" if begun else ""), flush=True)
     if args.dry_run:
-        return _dry_run(spec, plan, chunk)
-    began = time.monotonic()
+        return _dry_run(spec, plan, cores, args)
+    from jaxmpc.terminal.process import use_all_cores
+
+    crew = _crew(args, cores)
+    use_all_cores(cores)
+    return _run(spec, plan, folder, part, cores, crew, args)
+
+
+def _run(
+    spec: "SweepSpec",
+    plan: "Plan",
+    folder: Path,
+    part: tuple[int, int],
+    cores: int,
+    crew: "MakeCrew",
+    args: argparse.Namespace,
+) -> int:
+    from functools import partial
+
+    from sweeps import rates
+    from sweeps.leases import SILENCE, given_up
+    from sweeps.refine.run import run as run_refined
+    from sweeps.run import SweepStoppedError
+    from sweeps.run import run as run_plain
+
+    began, told = time.monotonic(), partial(print, flush=True)
     try:
-        result = run_sweep(spec, folder, chunk=chunk, progress=not args.quiet)
+        result = (run_plain if spec.refine is None else partial(run_refined, told=told))(
+            spec,
+            folder,
+            chunk=args.chunk,
+            part=part,
+            progress=not args.quiet,
+            gentle=True,
+            retry=bool(args.retry),
+            silence=args.silence or SILENCE,
+            crew=crew,
+            paced=lambda plan, pace: rates.record(plan, pace, cores),
+        )
     except KeyboardInterrupt:
         print("\njaxmpc sweep: interrupted; run the same command again to go on where it stopped", file=sys.stderr)
         return 130
+    except SweepStoppedError as error:
+        print(f"jaxmpc sweep: {error}. Finished chunks are kept.", file=sys.stderr)
+        return 1
     print(f"{len(result)} rows after {time.monotonic() - began:.1f} s")
-    print(_counts(result))
-    print(f"result {result.hash}\nnext: jaxmpc sweep report {folder}")
+    print(counts(result))
+    if result.complete:
+        print(f"result {result.hash}\nnext: jaxmpc sweep report {folder}")
+        return 0
+    if aside := given_up(folder if not result.stages else folder / "stages" / result.stages[-1][0]):
+        for (first, last), reason in aside.items():
+            rows = f"{result.plan.rows[first]} … {result.plan.rows[last - 1]}"
+            print(f"jaxmpc sweep: rows {rows} are set aside: {reason}", file=sys.stderr)
+        print("jaxmpc sweep: --retry tries them again", file=sys.stderr)
+        return 1
+    print("jaxmpc sweep: stopped; run the same command again to go on where it stopped", file=sys.stderr)
+    return 130
+
+
+def _crew(args: argparse.Namespace, cores: int) -> "MakeCrew":
+    given = [flag for flag, value in (("--local-workers", args.local_workers), ("--cluster", args.cluster)) if value]
+    if len(given) > 1:
+        raise InputError("--cluster", args.cluster, "given without --local-workers", "Remove one of the two.")
+    if not given:
+        from sweeps.crew import Alone
+
+        return Alone
+    from sweeps.cluster import DaskCrew, check_address, check_installed
+
+    check_installed()
+    if args.cluster:
+        check_address(args.cluster)
+        return lambda told: DaskCrew(told, address=args.cluster, cores=args.cores)
+    each = max(2, cores // args.local_workers)
+    return lambda told: DaskCrew(told, address=None, workers=args.local_workers, cores=each)
+
+
+def _part(text: str | None) -> tuple[int, int]:
+    """K and N of "K/N".
+
+    Raises:
+        InputError: It is none of N parts.
+    """
+    if text is None:
+        return 1, 1
+    k, _, n = text.partition("/")
+    if not (k.isdigit() and n.isdigit() and 1 <= int(k) <= int(n)):
+        raise InputError("--part", text, "K/N with 1 ≤ K ≤ N", "Write 2/3 for the second of three.")
+    return int(k), int(n)
+
+
+def _dry_run(spec: "SweepSpec", plan: "Plan", cores: int, args: argparse.Namespace) -> int:
+    from sweeps import rates
+    from sweeps.blocks import block_of, in_pairs, programs, signal_bytes
+
+    if args.measure:
+        _measured(spec, plan, cores)
+    rows, experiment = len(plan.rows), plan.canonical["experiment"]
+    took = rates.estimate(plan, cores)
+    each = "rows of one world" if plan.space.of_worlds and not in_pairs(plan) else "rows"
+    way = "pairs of a controller and a world" if in_pairs(plan) else f"controllers × {plan.worlds} worlds"
+    print(f"  engine      {experiment['physics']} on {cores} cores, {way}, blocks of {block_of(plan)} {each}")
+    print(f"  compiles    {programs(plan)} programs")
+    memory = rows * plan.row_bytes + signal_bytes(plan) * (block_of(plan) * cores if in_pairs(plan) else 1)
+    print(f"  disk        {rows * plan.row_bytes / 1e6:.1f} MB")
+    print(f"  memory      {memory / 1e6 + 500:.0f} MB")
+    print(f"  axis-steps  {rows * len(plan.stiffness) * 3 * spec.experiment.steps:.3g}")
+    if took is None:
+        print("  time        unknown: nothing like it has been run on this machine; --measure finds out")
+    else:
+        parts = f"{took.compile_s:.0f} s to compile, then {took.rate:.0f} rows/s"
+        print(f"  time        {took.seconds:.0f} s from nothing: {parts} (from {took.like})")
+        print(f"  chunks      {max(1, round(took.rows / took.rate / 5.0))} of some seconds each")
+    if spec.refine is not None:
+        print(f"  refined by  {spec.refine.method}: what stands above is of all rows on the spec's own experiment")
+    print("dry run: nothing was written")
     return 0
 
 
-def _dry_run(spec: "SweepSpec", plan: "Plan", chunk: int) -> int:
-    from sweeps.run import estimate
+def _measured(spec: "SweepSpec", plan: "Plan", cores: int) -> None:
+    """Compute the first rows, two rounds, and note how long they took."""
+    from jaxmpc.terminal.process import use_all_cores
 
-    rows, experiment = len(plan.rows), spec.experiment
-    steps = rows * len(plan.stiffness) * 3 * experiment.steps
-    print(f"  chunks      {math.ceil(rows / chunk)} of {chunk} rows")
-    print(f"  axis-steps  {steps:.3g}")
-    print(f"  size        {rows * plan.row_bytes / 1e6:.1f} MB on disk and in memory", flush=True)
-    took = estimate(spec)
-    print(
-        f"  time        {took.compile_s + rows / took.rate:.0f} s from nothing: {took.compile_s:.0f} s to compile, ",
-        end="",
-    )
-    print(f"then {took.rate:.0f} rows/s (measured on the first rows)\ndry run: nothing was written")
-    return 0
+    use_all_cores(cores)
+    from sweeps import rates
+    from sweeps.blocks import padded
+    from sweeps.compute import compute, round_of
+    from sweeps.pace import Pace
 
-
-def _counts(result: "Result") -> str:
-    counts = ", ".join(f"{name} {count}" for name, count in result.status_counts().items() if count)
-    return f"status over rows × stiffness: {counts}"
-
-
-def _report(args: argparse.Namespace) -> int:
-    from jaxmpc.files.toml import write_toml
-    from sweeps.report import heat_map, mapped_axes, pareto_figure, table
-    from sweeps.result import Result
-
-    folder = Path(args.what[1])
-    limit = 2.0 if args.max_ms is None else args.max_ms
-    n = 10 if args.n is None else args.n
-    if not limit >= 1.0:
-        raise InputError("--max-ms", limit, "at least 1", "No loop has a smaller peak sensitivity; 2 is usual.")
-    if n < 1:
-        raise InputError("-n", n, "at least 1", "Ask for one row or more.")
-    result = Result.load(folder)
-    if not len(result):
-        raise InputError("sweep folder", folder, "begun", "It has no finished chunk yet.")
-    if not result.complete:
-        print(f"jaxmpc sweep: unfinished: {len(result)} of {len(result.plan.rows)} rows", file=sys.stderr)
-    out = args.out or folder / "report"
-    out.mkdir(parents=True, exist_ok=True)
-    written = [out / "pareto.png"]
-    pareto_figure(result, written[0], max_M_s=limit)
-    if mapped_axes(result):
-        written.append(out / "heat-map.png")
-        heat_map(result, written[-1], max_M_s=limit)
-    best = result.best(n, limit)
-    if len(best):
-        written.append(out / "best.toml")
-        note = f"Row {best['row'][0]} of a sweep, result {result.hash}"
-        write_toml(written[-1], {"params": best.controller(0).to_dict()}, note)
-    if args.csv:
-        result.to_csv(args.csv)
-        written.append(args.csv)
-    print(_counts(result))
-    print(table(result, n, limit))
-    print(f"result {result.hash}\nwritten: {', '.join(map(str, written))}")
-    return 0
+    width = min(round_of(plan), len(plan.rows))
+    pace = Pace(None, width, plan.largest_chunk)
+    for _ in range(2):
+        began = time.perf_counter()
+        compute(plan, 0, width)
+        pace.tell(padded(plan, cores, 0, width), time.perf_counter() - began)
+    rates.record(plan, pace, cores)

@@ -1,7 +1,20 @@
-"""Rows of a sweep, computed by a pure function of what can be pickled: any process on any machine may be asked."""
+"""Rows of a sweep, computed by a pure function of what can be pickled: any process on any machine may be asked.
 
+    compute(plan, first, last) → columns of the planned rows first … last − 1
+
+No bit of a row depends on which others are asked for: every row runs in a block whose size follows from the spec
+(`block_of`), and blocks are calls of one program. Two ways, of which the spec alone decides:
+
+- neighbours in number share their world (no axis of the world, or many controllers in each): controllers × one scene;
+- every row may have a world of its own: pairs of a controller and a scene, what differs stacked.
+"""
+
+import shutil
+import tempfile
+import weakref
 from collections.abc import Callable
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,59 +24,153 @@ from jaxmpc.closed_loops import Outcome, evaluate_block
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
-from jaxmpc.quantities import MARGINS, METRICS
+from jaxmpc.experiment.build import robot_of
 from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.blocks import BLOCK, over_blocks
-from sweeps.plan import Columns, layout
-from sweeps.space import SweepSpace
-from sweeps.spec import SweepSpec
+from sweeps.blocks import block_of, in_pairs, shares_signals
+from sweeps.plan import Columns, Plan
+from sweeps.rows import Meeting, experiment_of, meetings, world_of
 
 
-def compute(spec: SweepSpec, first: int, last: int) -> Columns:
-    """Columns of the planned rows first … last − 1; no bit of a row depends on which others are asked for.
+def compute(plan: Plan, first: int, last: int) -> Columns:
+    """Columns of the planned rows first … last − 1.
 
     Args:
-        spec: The sweep; a recording that it names lies where it says.
+        plan: The sweep, with the content of its recordings.
         first: Place of the first row among the planned ones.
         last: Place behind the last.
+
+    Raises:
+        InputError: A row's world is none: its values do not go together.
     """
-    rows = _planned(spec.space)[first:last]
-    swept = spec.space.columns(rows)
-    outcome = evaluated(spec, spec.params.with_columns(swept))
-    measured = outcome.metrics._asdict() | outcome.margins._asdict()
-    found = {"row": rows, **swept, "status": np.asarray(outcome.status)}
-    for name in (*METRICS, *MARGINS):
-        found[name] = np.array(measured[name])
-        # One NaN, whatever sign and payload the processor made.
-        found[name][np.isnan(found[name])] = np.nan
-    columns = layout(spec.space, len(spec.experiment.stiffness), spec.precision)
-    return {name: np.asarray(found[name], column.dtype) for name, column in columns.items()}
+    site = _site(plan.spec_hash, plan)
+    rows = site.plan.rows[first:last]
+    swept = site.plan.space.columns(rows)
+    layout = site.plan.layout
+    found = {name: np.zeros((len(rows), *column.shape), column.dtype) for name, column in layout.items()}
+    found |= {"row": rows, **swept}
+    for meeting in meetings(site.plan.base, site.plan.space.axes, swept, by_world=not in_pairs(plan)):
+        for places, outcome in site.outcomes(meeting):
+            measured = outcome.metrics._asdict() | outcome.margins._asdict()
+            found["status"][places] = outcome.status
+            for name in site.plan.kept:
+                # One NaN, whatever sign and payload the processor made.
+                found[name][places] = np.where(np.isnan(measured[name]), np.nan, measured[name])
+    return {name: np.asarray(found[name], column.dtype) for name, column in layout.items()}
 
 
-def evaluated(spec: SweepSpec, batch: Params) -> Outcome:
-    """What controllers come to on the experiment of a sweep."""
-    program = _program(program_spec(spec.experiment), spec.precision)
+def round_of(plan: Plan) -> int:
+    """Rows that are computed side by side: one block a device."""
+    return block_of(plan) * jax.local_device_count()
+
+
+def baseline(plan: Plan) -> Outcome:
+    """What the base controller comes to on the base experiment, (1, stiffness, …)."""
+    site = _site(plan.spec_hash, plan)
+    experiment = experiment_of(site.world(()))
+    batch = plan.base.with_columns({"K2": plan.base.K2[None]})
+    return _run(partial(_program, block=BLOCK), experiment, plan, batch)
+
+
+class _Site:
+    """What a process keeps of a sweep between two calls."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self._folder = Path()
+        if plan.files:
+            self._folder = Path(tempfile.mkdtemp(prefix="jaxmpc-sweep-"))
+            weakref.finalize(self, shutil.rmtree, self._folder, True)
+        self._base = plan.with_files(plan.canonical["experiment"], self._folder)
+        self._experiments = lru_cache(maxsize=64)(lambda entries: experiment_of(self.world(entries)))
+        self._signals: Any = None
+
+    def world(self, entries: tuple[float, ...]) -> dict[str, Any]:
+        """Plain data of a world; of the base's, without entries."""
+        if not entries:
+            return self._base
+        data = world_of(self._base, self.plan.space.axes, entries)
+        return self.plan.with_files(data, self._folder)
+
+    def outcomes(self, meeting: Meeting) -> list[tuple[np.ndarray, Outcome]]:
+        """Places of rows, and what they came to."""
+        if not in_pairs(self.plan):
+            experiment = self._experiments(tuple(meeting.worlds[0].tolist()))
+            run = partial(_program, block=block_of(self.plan))
+            return [(meeting.places, _run(run, experiment, self.plan, meeting.params))]
+        scenes: dict[Any, list[tuple[int, ScenarioData]]] = {}
+        for i, entries in enumerate(meeting.worlds.tolist()):
+            experiment = self._experiments(tuple(entries))
+            scene = self._scene(experiment)
+            key = program_spec(experiment), scene.path.ideal, experiment.steps
+            scenes.setdefault(key, []).append((i, scene))
+        found = []
+        for (world, *_), members in scenes.items():
+            which = np.array([i for i, _ in members])
+            batch = jax.tree.map(lambda leaf, which=which: leaf[which], meeting.params)
+            found.append((meeting.places[which], self._paired(world, batch, [scene for _, scene in members])))
+        return found
+
+    def _scene(self, experiment: Experiment) -> ScenarioData:
+        swinging = experiment.physics != "linear"
+        if not shares_signals(self.plan):
+            return scenario_data(experiment, swinging)
+        self._signals = self._signals or scenario_data(experiment, swinging).signals
+        robot = robot_of(experiment) if experiment.physics != "linear" else None
+        stiffness, lsb = np.asarray(experiment.stiffness), np.asarray(experiment.sensor.lsb)
+        return ScenarioData(stiffness, self._signals, lsb, experiment.force_limit, robot, experiment.loop_path())
+
+    def _paired(self, world: ProgramSpec, batch: Params, scenes: list[ScenarioData]) -> Outcome:
+        shared = shares_signals(self.plan)
+        nothing: Any = None
+        apart = [scene._replace(signals=nothing) if shared else scene for scene in scenes]
+        stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *apart)
+        program = _pairs(world, self.plan.canonical["precision"], block_of(self.plan))
+        with jax.enable_x64(True):
+            outcome: Outcome = program((batch, stacked), scenes[0].signals if shared else None)
+        return outcome
+
+
+_sites: dict[str, _Site] = {}
+
+
+def _site(spec_hash: str, plan: Plan) -> _Site:
+    """The site of a sweep; a process keeps the last one."""
+    if spec_hash not in _sites:
+        _sites.clear()
+        _sites[spec_hash] = _Site(plan)
+    return _sites[spec_hash]
+
+
+def _run(program: Callable[..., Any], experiment: Experiment, plan: Plan, batch: Params) -> Outcome:
     with jax.enable_x64(True):
-        outcome: Outcome = program(batch, _scenario(spec.experiment))
+        run = program(program_spec(experiment), plan.canonical["precision"])
+        outcome: Outcome = run(batch, _scenario(experiment))
     return outcome
 
 
-def rows_at_a_time() -> int:
-    """Rows that are computed side by side: one block a device, so that one compilation serves them all."""
-    return BLOCK * jax.local_device_count()
-
-
-@lru_cache(maxsize=1)
-def _planned(space: SweepSpace) -> np.ndarray:
-    return space.rows()
-
-
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=8)
 def _scenario(experiment: Experiment) -> ScenarioData:
     # The filter behind it would slow the linear loop down, which swings only where it is unstable.
     return scenario_data(experiment, swinging=experiment.physics != "linear")
 
 
 @lru_cache(maxsize=8)
-def _program(world: ProgramSpec, precision: str) -> Callable[[Any, Any], Any]:
-    return over_blocks(partial(evaluate_block, world=world, dtype=precision))
+def _program(world: ProgramSpec, precision: str, block: int) -> Callable[[Any, Any], Any]:
+    return over_blocks(partial(evaluate_block, world=world, dtype=precision), block)
+
+
+@lru_cache(maxsize=8)
+def _pairs(world: ProgramSpec, precision: str, block: int) -> Callable[[Any, Any], Any]:
+    def block_of_pairs(batch: Any, shared: Any) -> Outcome:
+        def one(params: Params, scene: ScenarioData) -> Outcome:
+            met = scene if shared is None else scene._replace(signals=shared)
+            alone = jax.tree.map(lambda leaf: leaf[None], params)
+            outcome = evaluate_block(alone, met, world=world, dtype=precision)
+            first: Outcome = jax.tree.map(lambda leaf: leaf[0], outcome)
+            return first
+
+        found: Outcome = jax.vmap(one)(*batch)
+        return found
+
+    return over_blocks(block_of_pairs, block)

@@ -8,9 +8,9 @@ import numpy as np
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.pictures.figures import ACCENT, BASELINE, figure
 from jaxmpc.quantities import HORIZONS, PARAMETERS
+from sweeps.axis import SweepAxis
 from sweeps.labels import WORST_RMS, plain_ticks
 from sweeps.result import Result
-from sweeps.space import SweepAxis
 
 MOST_BINS, ROWS_A_BIN = 24, 12
 """Bins of a random sweep along one axis of the heat map, and rows aimed at in each cell."""

@@ -1,8 +1,8 @@
 """A spec with everything resolved: its canonical form, its hash, and what each row holds."""
 
 import hashlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,17 +10,18 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import LARGEST, digest
-from jaxmpc.quantities import AXES, MARGINS, METRICS, PARAMETERS
+from jaxmpc.quantities import AXES, METRICS, PARAMETERS
 from jaxmpc.synthesis.params import Params
+from sweeps.goal import SweepGoal
 from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
 
-SCHEMA = "jaxmpc-sweep/1"
-CHUNK = 2048
-"""Rows of a chunk file, the most that a kill can cost."""
-
+SCHEMA = "jaxmpc-sweep/2"
+RECORDING = "motion.file"
+_SHA = "sha256:"
 
 Columns = dict[str, np.ndarray]
 """Values per name, one row each."""
@@ -35,13 +36,21 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be computed, whoever computes it and in whatever portions.
+    """What is to be computed, whoever computes it and in whatever portions; it can be pickled and is small.
 
     Attributes:
         canonical: The spec as plain data, every default written out, a recording as the hash of its content.
+        files: Content of the recordings, by that hash.
+        goal: How rows are ranked; no part of the hash.
     """
 
     canonical: dict[str, Any]
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    goal: SweepGoal = field(default_factory=SweepGoal)
+
+    def __reduce__(self) -> Any:
+        # Without what is cached: the rows of a large sweep are many, and follow from the rest.
+        return Plan, (self.canonical, self.files, self.goal)
 
     @cached_property
     def spec_hash(self) -> str:
@@ -59,28 +68,71 @@ class Plan:
         return self.space.rows()
 
     @cached_property
+    def bounds(self) -> np.ndarray:
+        """Places among the planned rows at which another world begins, and the end."""
+        worlds = self.rows // self.space.same_world
+        return np.append(np.flatnonzero(np.diff(worlds)) + 1, len(worlds))
+
+    @property
+    def worlds(self) -> int:
+        """How many worlds there are."""
+        return len(self.bounds)
+
+    @cached_property
     def base(self) -> Params:
         """The base controller."""
         return Params.from_dict(self.canonical["params"])
 
     @property
+    def kept(self) -> tuple[str, ...]:
+        """Metrics and margins that are kept."""
+        return tuple(self.canonical["columns"])
+
+    @cached_property
     def stiffness(self) -> tuple[float, ...]:
-        """Tissue stiffnesses [N/m]."""
-        return tuple(self.canonical["experiment"]["stiffness"])
+        """Tissue stiffnesses; NaN where they are swept [N/m]."""
+        base = tuple(map(float, self.canonical["experiment"]["stiffness"]))
+        axis = next((axis for axis in self.space.axes if axis.name.partition(".")[0] == "stiffness"), None)
+        if axis is None:
+            return base
+        tissues = 1 if axis.numeric and axis.name == "stiffness" and not axis.relative else len(base)
+        return (np.nan,) * (tissues if axis.numeric else len(axis.values[0]))
 
     @cached_property
     def layout(self) -> dict[str, Column]:
-        """The columns of the result in their fixed order."""
-        return layout(self.space, len(self.stiffness), self.canonical["precision"])
+        """The columns of the result in their fixed order; what a run measures has the precision of the stepping."""
+        measured, tissues = {"float32": "<f4", "float64": "<f8"}[self.canonical["precision"]], len(self.stiffness)
+        columns = {"row": Column("<i8", ())} | {axis.name: Column("<f8", ()) for axis in self.space.axes}
+        columns["status"] = Column("|i1", (tissues,))
+        for name in self.kept:
+            metric = name in METRICS
+            columns[name] = Column(measured, (tissues, len(AXES))) if metric else Column("<f8", (tissues,))
+        return columns
 
     @cached_property
     def row_bytes(self) -> int:
         """Size of one row of the result [bytes]."""
         return sum(np.dtype(dtype).itemsize * int(np.prod(shape)) for dtype, shape in self.layout.values())
 
-    def params(self, first: int, last: int) -> Params:
-        """The controllers of the planned rows first … last − 1, as a batch."""
-        return self.base.with_columns(self.space.columns(self.rows[first:last]))
+    @property
+    def largest_chunk(self) -> int:
+        """Most rows that a chunk file may have."""
+        return LARGEST // 2 // self.row_bytes
+
+    def experiment(self, folder: Path) -> Experiment:
+        """The base experiment; recordings are written into a folder first, unless they are there."""
+        return Experiment.from_dict(self.with_files(self.canonical["experiment"], folder))
+
+    def with_files(self, experiment: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+        """An experiment's data whose recording is a file again."""
+        data = dict(experiment)
+        if (name := data["motion"]["file"]).startswith(_SHA):
+            content = self.files[name]
+            path = folder / (name.removeprefix(_SHA) + (".npz" if content.startswith(b"PK") else ".csv"))
+            if not path.exists():
+                path.write_bytes(content)
+            data["motion"] = {**data["motion"], "file": str(path)}
+        return data
 
     def portions(self, missing: np.ndarray, chunk: int) -> Iterator[tuple[int, int]]:
         """Stretches of at most `chunk` rows that cover the missing ones.
@@ -95,42 +147,41 @@ class Plan:
                 yield first, min(first + chunk, end)
 
 
-def layout(space: SweepSpace, tissues: int, precision: str) -> dict[str, Column]:
-    """The columns of a result in their fixed order.
-
-    Args:
-        space: The points of the sweep.
-        tissues: How many stiffnesses each is run on.
-        precision: Of the time stepping: what a run measures has it, margins are always float64.
-    """
-    measured = {"float32": "<f4", "float64": "<f8"}[precision]
-    columns = {"row": Column("<i8", ())} | {axis.name: Column("<f8", ()) for axis in space.axes}
-    columns["status"] = Column("|i1", (tissues,))
-    columns |= {name: Column(measured, (tissues, len(AXES))) for name in METRICS}
-    columns |= {name: Column("<f8", (tissues,)) for name in MARGINS}
-    return columns
-
-
 def make_plan(spec: SweepSpec) -> Plan:
     """The plan of a spec.
 
     Raises:
-        InputError: The recording cannot be read, or the experiment leaves nothing to score.
+        InputError: A recording cannot be read, or the experiment leaves nothing to score.
     """
     experiment = spec.experiment.to_dict()
     del experiment["name"]
     _ = spec.experiment.signals
+    files: dict[str, bytes] = {}
+
+    def hashed(file: str) -> str:
+        content = Path(file).read_bytes()
+        name = _SHA + hashlib.sha256(content).hexdigest()
+        files[name] = content
+        return name
+
     if file := experiment["motion"]["file"]:
-        experiment["motion"]["file"] = "sha256:" + hashlib.sha256(Path(file).read_bytes()).hexdigest()
+        experiment["motion"]["file"] = hashed(file)
+    space = msgspec.to_builtins(spec.space)
+    for axis in (axis for factor in space["factors"] for axis in factor if axis["name"] == RECORDING):
+        try:
+            axis["values"] = [hashed(file) for file in axis["values"]]
+        except OSError as error:
+            raise InputError(f"sweep.axes.{RECORDING}", error.filename, "readable", f"{error.strerror}.") from None
     canonical = {
         "schema": SCHEMA,
         "experiment": experiment,
         "params": spec.params.to_dict(),
         "precision": spec.precision,
-        "space": msgspec.to_builtins(spec.space),
+        "columns": list(spec.kept),
+        "space": space,
     }
     # Through JSON types, so that a plan read back from its manifest is the same one.
-    return Plan(msgspec.json.decode(msgspec.json.encode(canonical)))
+    return Plan(msgspec.json.decode(msgspec.json.encode(canonical)), files, spec.goal)
 
 
 def check_chunk(plan: Plan, chunk: int) -> None:
@@ -139,27 +190,35 @@ def check_chunk(plan: Plan, chunk: int) -> None:
     Raises:
         InputError: It is not positive or too large.
     """
-    most = LARGEST // 2 // plan.row_bytes
+    most = plan.largest_chunk
     if not 1 <= chunk <= most:
-        raise InputError("chunk", chunk, f"in [1, {most}] rows", f"Its default is {CHUNK}.")
+        raise InputError("chunk", chunk, f"in [1, {most}] rows", "By default it is a few seconds of work.")
 
 
 def describe(plan: Plan) -> str:
     """What was resolved, for a person."""
     space, experiment = plan.space, plan.canonical["experiment"]
-    swept = {axis.name: axis for axis in space.axes}
     lines = []
-    for name, axis in swept.items():
-        ends = f"{min(axis.values):.6g} … {max(axis.values):.6g} {PARAMETERS[name].unit}"
-        points = f"{len(axis.values)} values" if space.kind == "grid" or axis.scale == "list" else "drawn"
-        lines.append(f"  {name:<11} {ends}, {points}, {axis.scale}")
+    for factor in space.factors:
+        for axis in factor:
+            ends = ", ".join(map(axis.label, range(len(axis.values))))
+            if axis.numeric:
+                ends = f"{min(axis.values):.6g} … {max(axis.values):.6g} {axis.unit}"
+            points = (
+                f"{len(axis.values)} values" if space.kind == "grid" or axis.scale in ("list", "choice") else "drawn"
+            )
+            also = ", times the base" * axis.relative + ", zipped" * (len(factor) > 1)
+            lines.append(f"  {axis.name:<11} {ends}, {points}, {axis.scale}{also}")
+    swept = {axis.name for axis in space.axes}
     fixed = {k: v for k, v in plan.canonical["params"].items() if k not in swept}
-    lines.append("  fixed       " + ", ".join(f"{k} {_short(v)}" for k, v in fixed.items()))
-    lines.append(f"  stiffness   {', '.join(f'{k:g}' for k in plan.stiffness)} N/m")
+    lines.append("  fixed       " + ", ".join(f"{k} {_short(v)}" for k, v in fixed.items() if k in PARAMETERS))
+    if not np.isnan(plan.stiffness).any():
+        lines.append(f"  stiffness   {', '.join(f'{k:g}' for k in plan.stiffness)} N/m")
     lines.append(
-        f"  experiment  {experiment['duration']:g} s at {experiment['sampling_time']:g} s, {experiment['damping']}"
-        f" damping, motion {experiment['motion']['kind']}, {plan.canonical['precision']}"
+        f"  experiment  {experiment['physics']}, {experiment['duration']:g} s at {experiment['sampling_time']:g} s,"
+        f" {experiment['damping']} damping, motion {experiment['motion']['kind']}, {plan.canonical['precision']}"
     )
+    lines.append(f"  best        {plan.goal.text}")
     return "\n".join(lines)
 
 

@@ -1,26 +1,46 @@
-"""The result of a sweep, by name: residuals and margins together, the best rows, the Pareto front."""
+"""The result of a sweep, by name: what was swept, what came out, which rows are good.
 
-import csv
+    result = sweeps.load("runs/first")          # also of an unfinished sweep, or while it runs
+    result.axes                                 # SweepAxis: name, unit, label(entry), numeric (else places of a choice)
+    result["lam"], result["rms"], result["M_s"] # (rows,), (rows, stiffness, 3), (rows, stiffness)
+    result.worst("rms")                         # (rows,): at its worst over stiffness and axis; ±∞ where not judged
+    result.feasible                             # (rows,) bool: OK everywhere, and every constraint of the spec kept
+    result.best(10), result.pareto("rms", "M_s", "chatter")         # Results of some rows, in order
+    result.place(1234), result.controller(place), result.experiment(place), result.settings(place)
+    result.tissues                              # (rows, stiffness): stiffness that each row met [N/m]
+    result.stages                               # of a refined sweep: (name, Result) in order, the last is this one
+    result.to_csv(path), result.to_xarray(), result.to_pandas()     # `sweeps.labelled`
+
+Quantities (`jaxmpc.quantities`, here `MEASURED`) say unit, sense, digits and text of every metric and margin.
+"""
+
 import hashlib
-import io
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import msgspec
 import numpy as np
 
-from jaxmpc.experiment import AXES
+from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.files.sealed import canonical_json, write_atomic
-from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
+from jaxmpc.files.sealed import canonical_json
+from jaxmpc.quantities import METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
-from sweeps import store
+from sweeps import labelled, store
+from sweeps.axis import SweepAxis
+from sweeps.front import front
+from sweeps.goal import MEASURED, SweepGoal
 from sweeps.plan import Plan
+from sweeps.rows import experiment_of, meetings, world_of
+from sweeps.space import SweepSpace
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
 
@@ -39,31 +59,59 @@ def baseline_of(summary: Mapping[str, Any]) -> Point | None:
     return Point(*(np.inf if value is None else value for value in found)) if found else None
 
 
+def worst(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """A metric or margin at its worst over stiffness and axis, (rows,); ∞ or −∞, as is worse, where there is none.
+
+    Metrics count only where the status is OK at every stiffness, margins wherever they are numbers.
+    """
+    quantity, values = MEASURED[name], columns[name]
+    failed = np.inf if quantity.ceiling else -np.inf
+    found = quantity.worst(values.reshape(len(values), -1), axis=1)
+    if name in METRICS:
+        found = np.where((columns["status"] == Status.OK).all(axis=1), found, failed)
+    worst_found: np.ndarray = np.where(np.isnan(found), failed, found)
+    return worst_found
+
+
+def keeps(columns: Mapping[str, np.ndarray], name: str, limit: float) -> np.ndarray:
+    """Whether rows keep a limit, (rows,)."""
+    kept: np.ndarray = MEASURED[name].kept(worst(columns, name), limit)
+    return kept
+
+
 @dataclass(frozen=True)
 class Result:
     """Rows of a sweep; `result["rms"]` is a column, shape (rows, stiffness, 3).
 
     Attributes:
         plan: What was swept.
-        columns: Row number, swept parameters, status, metrics and margins (`jaxmpc.quantities`).
-        baseline: The base controller on the same experiment, once the sweep is finished.
+        columns: Row number, entries of the axes, status, metrics and margins (`jaxmpc.quantities`).
+        baseline: The base controller on the base experiment, once the sweep is finished.
+        stages: Of a refined sweep: each stage's name and rows, in order.
     """
 
     plan: Plan
     columns: Mapping[str, np.ndarray]
     baseline: Point | None = None
+    stages: tuple[tuple[str, "Result"], ...] = field(default=(), compare=False, repr=False)
 
     @staticmethod
     def load(folder: str | Path) -> "Result":
-        """The rows that a sweep's folder holds so far.
+        """The rows that a sweep's folder holds so far; those of its last stage, where it was refined.
 
         Raises:
             InputError: The folder is no sweep's.
         """
         folder = Path(folder)
+        stages = [(path.name, Result.load(path)) for path in store.stage_folders(folder)]
+        if stages:
+            rounds = [result for name, result in stages if name.endswith(("-full", "-around"))]
+            last = stages[-1][1]
+            around = stages[-1][0].endswith("-around")
+            return replace(merged(rounds) if around else last, stages=tuple(stages))
         plan = store.read_plan(folder)
         columns, there = store.read_chunks(folder, plan)
-        rows = {name: values[there] for name, values in columns.items()}
+        rows = columns if there.all() else {name: values[there] for name, values in columns.items()}
         return Result(plan, rows, baseline_of(store.read_summary(folder)))
 
     def __len__(self) -> int:
@@ -73,6 +121,16 @@ class Result:
         if name not in self.columns:
             raise InputError("column", name, "a column of the result", nearest(name, list(self.columns)))
         return self.columns[name]
+
+    @property
+    def goal(self) -> SweepGoal:
+        """How rows are ranked."""
+        return self.plan.goal
+
+    @property
+    def axes(self) -> tuple[SweepAxis, ...]:
+        """What was swept."""
+        return self.plan.space.axes
 
     @property
     def complete(self) -> bool:
@@ -90,99 +148,168 @@ class Result:
         return total.hexdigest()
 
     @cached_property
+    def ok(self) -> np.ndarray:
+        """Whether each row's status is OK at every stiffness, (rows,)."""
+        good: np.ndarray = (self["status"] == Status.OK).all(axis=1)
+        return good
+
+    @cached_property
+    def feasible(self) -> np.ndarray:
+        """Whether each row is OK at every stiffness and keeps every constraint of the spec, (rows,)."""
+        return self._within(self.goal)
+
+    @cached_property
+    def tissues(self) -> np.ndarray:
+        """Stiffnesses that each row met, (rows, stiffness) [N/m]."""
+        if not np.isnan(self.plan.stiffness).any():
+            return np.broadcast_to(self.plan.stiffness, (len(self), len(self.plan.stiffness)))
+        worlds = np.stack([self[axis.name] for axis in self.axes if axis.of_world], axis=1)
+        found, which = np.unique(worlds, axis=0, return_inverse=True)
+        base = self.plan.canonical["experiment"]
+        sets = [world_of(base, self.axes, tuple(entries))["stiffness"] for entries in found.tolist()]
+        return np.asarray(sets, float)[which.ravel()]
+
+    @cached_property
     def worst_rms(self) -> np.ndarray:
         """Largest residual RMS over stiffness and axis, (rows,) [N]; ∞ unless OK at every stiffness."""
-        ok = (self["status"] == Status.OK).all(axis=1)
-        return np.where(ok, np.max(self["rms"], axis=(1, 2), where=ok[:, None, None], initial=0.0), np.inf)
+        return self.worst("rms")
 
     @cached_property
     def worst_M_s(self) -> np.ndarray:  # noqa: N802 - the symbol
         """Largest peak sensitivity over stiffness, (rows,) [-]; ∞ when unstable or ill-posed."""
-        worst: np.ndarray = np.nan_to_num(self["M_s"], nan=np.inf, posinf=np.inf).max(axis=1)
-        return worst
+        return self.worst("M_s")
 
-    def take(self, places: np.ndarray) -> "Result":
+    def worst(self, name: str) -> np.ndarray:
+        """A metric or margin at its worst over stiffness and axis, (rows,); ±∞ where there is none.
+
+        Raises:
+            InputError: It was not kept.
+        """
+        if name not in self.plan.kept:
+            raise InputError("quantity", name, "kept by the sweep", nearest(name, list(self.plan.kept)))
+        return worst(self.columns, name)
+
+    def take(self, places: "np.ndarray | slice") -> "Result":
         """Some rows, in the order given, by their places in this result."""
         return replace(self, columns={name: values[places] for name, values in self.columns.items()})
 
-    def best(self, n: int = 10, max_M_s: float = 2.0) -> "Result":
-        """The rows of least worst-case residual among those that are robust enough.
+    def place(self, row: int) -> int:
+        """Where a row stands in this result, by its number.
+
+        Raises:
+            InputError: It is not here.
+        """
+        found = np.flatnonzero(self["row"] == row)
+        if not len(found):
+            bound = f"one of the {len(self)} rows, {self['row'].min()} … {self['row'].max()}" if len(self) else "there"
+            raise InputError("row", row, bound, "Rows with Hu > Hp, and rows not yet computed, are not here.")
+        return int(found[0])
+
+    def ranked(self, goal: SweepGoal | None = None) -> np.ndarray:
+        """Places of the good rows, the best first."""
+        goal = goal or self.goal
+        values = self.worst(goal.best)
+        order = np.argsort(values if MEASURED[goal.best].ceiling else -values, kind="stable")
+        good = np.isfinite(values) & self._within(goal)
+        places: np.ndarray = order[good[order]]
+        return places
+
+    def best(self, n: int = 10, max_M_s: float | None = None) -> "Result":
+        """The best of the rows that keep the constraints.
 
         Args:
             n: How many at most.
-            max_M_s: Largest accepted worst-case peak sensitivity [-].
+            max_M_s: Largest accepted worst-case peak sensitivity [-]; None is the spec's.
         """
-        order = np.argsort(self.worst_rms, kind="stable")
-        good = np.isfinite(self.worst_rms[order]) & (self.worst_M_s[order] <= max_M_s)
-        return self.take(order[good][:n])
+        goal = self.goal if max_M_s is None else self.goal.limited({"M_s": max_M_s})
+        return self.take(self.ranked(goal)[:n])
 
-    def pareto(self) -> "Result":
-        """The rows that no other beats in both worst-case residual and worst-case M_s, ordered by M_s."""
-        order = np.lexsort((self.worst_rms, self.worst_M_s))
-        front: list[int] = []
-        for place in order[np.isfinite(self.worst_rms[order]) & np.isfinite(self.worst_M_s[order])]:
-            if (
-                not front
-                or self.worst_rms[place] < self.worst_rms[front[-1]]
-                or self._point(place) == self._point(front[-1])
-            ):
-                front.append(int(place))
-        return self.take(np.array(front, int))
+    def pareto(self, *goals: str, feasible: bool = False) -> "Result":
+        """The rows that no other beats in every goal at once, ordered by the last goal.
 
-    def _point(self, place: int) -> Point:
-        return Point(float(self.worst_rms[place]), float(self.worst_M_s[place]))
+        Args:
+            goals: Metrics and margins, each at its worst; by default the residual and M_s.
+            feasible: Whether rows that break a constraint stay out of it.
+
+        Raises:
+            InputError: A goal was not kept by the sweep.
+        """
+        names = goals or ("rms", "M_s")
+        table = np.stack([self.worst(name) * (1.0 if MEASURED[name].ceiling else -1.0) for name in names], axis=1)
+        places = np.flatnonzero(np.isfinite(table).all(axis=1) & (self.feasible if feasible else True))
+        places = places[front(table[places])]
+        return self.take(places[np.lexsort(table[places].T)])
 
     def controller(self, place: int) -> Params:
         """The controller of one row, by its place in this result."""
-        return self.plan.base.with_columns({a.name: self[a.name][[place]] for a in self.plan.space.axes})[0]
+        columns = {axis.name: self[axis.name][[place]] for axis in self.axes}
+        (meeting,) = meetings(self.plan.base, self.axes, columns, by_world=True)
+        return meeting.params[0]
+
+    def experiment(self, place: int) -> Experiment:
+        """The experiment that one row met; a recording is written into a temporary folder.
+
+        Raises:
+            InputError: The content of the recording is not in the folder.
+        """
+        entries = tuple(float(self[axis.name][place]) for axis in self.axes if axis.of_world)
+        data = world_of(self.plan.canonical["experiment"], self.axes, entries)
+        folder = tempfile.mkdtemp(prefix="jaxmpc-row-") if data["motion"]["file"] else ""
+        return experiment_of(self.plan.with_files(data, Path(folder)))
+
+    def settings(self, place: int) -> dict[str, str]:
+        """What the axes set for one row, for people."""
+        return {axis.name: axis.label(float(self[axis.name][place])) for axis in self.axes}
 
     def status_counts(self) -> dict[str, int]:
         """How many (row, stiffness) pairs ended in each `Status`."""
         return {status.name: int((self["status"] == status).sum()) for status in Status}
 
     def to_csv(self, path: str | Path) -> None:
-        """Write one line per row and stiffness; units stand in the head, status by name.
-
-        Raises:
-            OSError: The file cannot be written.
-        """
-        swept = [axis.name for axis in self.plan.space.axes]
-        head = ["row", *(f"{name} [{PARAMETERS[name].unit}]" for name in swept), "stiffness [N/m]", "status"]
-        head += [f"{name}_{axis} [{metric.unit}]" for name, metric in METRICS.items() for axis in AXES]
-        head += [f"{name} [{margin.unit}]" for name, margin in MARGINS.items()]
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(head)
-        for place in range(len(self)):
-            start = [int(self["row"][place]), *(float(self[name][place]) for name in swept)]
-            for tissue, stiffness in enumerate(self.plan.stiffness):
-                values = np.concatenate([np.atleast_1d(self[name][place, tissue]) for name in (*METRICS, *MARGINS)])
-                status = Status(self["status"][place, tissue]).name
-                writer.writerow([*start, stiffness, status, *values.tolist()])
-        write_atomic(Path(path), text.getvalue().encode())
+        """Write one line per row and stiffness; see `labelled.to_csv`."""
+        labelled.to_csv(self, path)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """A dataset with dimensions row, stiffness and axis, units and texts as attributes.
+        """A dataset with dimensions row, stiffness and axis; see `labelled.to_xarray`."""
+        return labelled.to_xarray(self)
 
-        Raises:
-            InputError: xarray is not installed.
-        """
-        try:
-            import xarray
-        except ModuleNotFoundError:
-            remedy = "Install the extra: pip install 'jaxmpc[analysis]'."
-            raise InputError("xarray", "not installed", "installed for labelled arrays", remedy) from None
-        coordinates: dict[str, Any] = {
-            "row": self["row"],
-            "stiffness": ("stiffness", list(self.plan.stiffness), {"units": "N/m", "long_name": "tissue stiffness"}),
-            "axis": list(AXES),
-        }
-        for axis in self.plan.space.axes:
-            coordinates[axis.name] = ("row", self[axis.name], {"units": PARAMETERS[axis.name].unit})
-        meanings = {status.name: int(status) for status in Status}
-        variables: dict[str, Any] = {"status": (("row", "stiffness"), self["status"], meanings)}
-        for name, row in {**METRICS, **MARGINS}.items():
-            dimensions = ("row", "stiffness", "axis")[: 3 if name in METRICS else 2]
-            variables[name] = (dimensions, self[name], {"units": row.unit, "long_name": row.text})
-        attributes = {"result_hash": self.hash, "spec": canonical_json(self.plan.canonical)}
-        return xarray.Dataset(variables, coordinates, attributes)
+    def to_pandas(self) -> "pandas.DataFrame":
+        """A table with a line per row and stiffness; see `labelled.to_pandas`."""
+        return labelled.to_pandas(self)
+
+    def _within(self, goal: SweepGoal) -> np.ndarray:
+        good = self.ok
+        for name, limit in goal.constraints.items():
+            good = good & MEASURED[name].kept(self.worst(name), limit)
+        return good
+
+
+def _joined(name: str, results: Sequence[Result]) -> SweepAxis:
+    """An axis whose points are those of every row, in order."""
+    values: list[Any] = []
+    labels: list[str] = []
+    for result in results:
+        axis = next(axis for axis in result.axes if axis.name == name)
+        entries = result[name].tolist()
+        values += entries if axis.numeric else [axis.values[int(entry)] for entry in entries]
+        labels += [axis.labels[int(entry)] for entry in entries] if axis.labels else []
+    return SweepAxis(name, axis.scale, tuple(values), axis.relative, tuple(labels))
+
+
+def merged(results: Sequence[Result]) -> Result:
+    """Rows of several sweeps of the same axes as one, whose rows are numbered anew; one alone stays as it is.
+
+    Args:
+        results: At least one.
+    """
+    first = results[0]
+    if len(results) == 1:
+        return first
+    columns = {name: np.concatenate([result[name] for result in results]) for name in first.columns}
+    columns["row"] = np.arange(len(columns["row"]))
+    factor = tuple(_joined(axis.name, results) for axis in first.axes)
+    columns |= {axis.name: axis.column() for axis in factor}
+    space = SweepSpace("grid", (factor,), len(columns["row"]), 0, first.plan.space.horizons)
+    canonical = {**first.plan.canonical, "space": msgspec.to_builtins(space)}
+    plan = Plan(msgspec.json.decode(msgspec.json.encode(canonical)), first.plan.files, first.goal)
+    return Result(plan, columns, first.baseline)

@@ -2,8 +2,8 @@
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,17 +11,39 @@ from jaxmpc.status import Status
 from jaxmpc.terminal.progress import Tick
 from jaxmpc.terminal.progress import progress as progress_of
 from sweeps import store
-from sweeps.compute import compute, evaluated, rows_at_a_time
-from sweeps.plan import CHUNK, Columns, check_chunk, make_plan
-from sweeps.result import Point, Result, baseline_of
+from sweeps.compute import baseline, round_of
+from sweeps.crew import Alone, ComputedChunk, Crew
+from sweeps.goal import MEASURED, SweepGoal
+from sweeps.interrupt import gently
+from sweeps.leases import SILENCE, Leases
+from sweeps.pace import Pace
+from sweeps.plan import Columns, Plan, check_chunk, make_plan
+from sweeps.result import Result, baseline_of, keeps, worst
+from sweeps.share import Share
 from sweeps.spec import SweepSpec
 
-ROBUST = 2.0
-"""Peak sensitivity up to which a controller counts as "best so far" [-]."""
+MakeCrew = Callable[[Callable[[Columns], None]], Crew]
+"""Makes whoever computes, of what wants to see the columns of each round."""
 
 
-def run(spec: SweepSpec, folder: str | Path, *, chunk: int = CHUNK, progress: bool = False) -> Result:
-    """Run a sweep, or what is missing of it.
+class SweepStoppedError(RuntimeError):
+    """A chunk could not be computed, and the spec says to stop; the message says which and why."""
+
+
+def run(
+    spec: SweepSpec,
+    folder: str | Path,
+    *,
+    chunk: int | None = None,
+    part: tuple[int, int] = (1, 1),
+    progress: bool = False,
+    gentle: bool = False,
+    retry: bool = False,
+    silence: float = SILENCE,
+    crew: MakeCrew = Alone,
+    paced: Callable[[Plan, Pace], None] | None = None,
+) -> Result:
+    """Run a sweep, or what is missing of it; several processes may do so in one folder, and share the work.
 
     Bad controllers never stop it: their `Status` says what happened. Whatever stops it, call it again with
     the same arguments: at most the chunk in work is lost.
@@ -29,88 +51,110 @@ def run(spec: SweepSpec, folder: str | Path, *, chunk: int = CHUNK, progress: bo
     Args:
         spec: What is swept.
         folder: Where its chunks go: new, empty, or begun by the same spec.
-        chunk: Rows of a chunk file; no bit of the result depends on it.
+        chunk: Rows of a chunk file, by default a few seconds of work; no bit of the result depends on it.
+        part: k and n: begin with the k-th of n parts, and help with the others afterwards.
         progress: Show it on standard error.
+        gentle: Whether Ctrl-C finishes the round in work; `Result.complete` then tells.
+        retry: Whether to try again what was set aside before.
+        silence: After so long without a sign of life another process takes a chunk over [s].
+        crew: Who computes.
+        paced: Told at the end how long rows took.
 
     Returns:
-        Every row.
+        Every row; those that are there, where chunks were set aside or somebody stopped it.
 
     Raises:
         InputError: The folder belongs to something else, or the chunk is too large.
+        SweepStoppedError: A chunk could not be computed, and `spec.on_error` is "stop".
         OSError: The folder cannot be written, or the disk is full.
     """
-    folder = Path(folder)
-    plan = make_plan(spec)
-    check_chunk(plan, chunk)
+    folder, plan = Path(folder), make_plan(spec)
+    if chunk is not None:
+        check_chunk(plan, chunk)
     store.prepare(folder, plan)
+    there = store.read_chunks(folder, plan, mend=True).there
+    leases = Leases(folder, silence)
+    try:
+        if retry:
+            leases.retry()
+        share = Share(folder, plan, there, leases, part)
+        with progress_of("sweep", len(there), enabled=progress) as tick, gently(gentle) as stop:
+            count = _Count(tick, plan.goal, share)
+            pace = Pace(chunk, round_of(plan), plan.largest_chunk)
+            makers = crew(count.add)
+            try:
+                for piece in makers.work(plan, share, leases, pace, stop):
+                    _keep(folder, plan, piece, share, leases, stopping=spec.on_error == "stop")
+            finally:
+                makers.close()
+    finally:
+        leases.close()
+    if paced is not None:
+        paced(plan, pace)
     columns, there = store.read_chunks(folder, plan)
-    width = rows_at_a_time()
-    with progress_of("sweep", len(plan.rows), enabled=progress) as tick:
-        count = _Count(tick, int(there.sum()))
-        for first, last in plan.portions(~there, chunk):
-            for begin in range(first, last, width):
-                end = min(begin + width, last)
-                found = compute(spec, begin, end)
-                for name, values in found.items():
-                    columns[name][begin:end] = values
-                count.add(found)
-            store.write_chunk(folder, plan, first, last, {name: column[first:last] for name, column in columns.items()})
-    result = Result(plan, columns)
+    if not there.all():
+        return Result(plan, {name: values[there] for name, values in columns.items()})
+    return _finished(folder, Result(plan, columns))
+
+
+def _keep(folder: Path, plan: Plan, piece: ComputedChunk, share: Share, leases: Leases, *, stopping: bool) -> None:
+    """Write what was computed, or set aside what could not be; give the lease back."""
+    first = piece.stretch[0]
+    try:
+        if piece.columns is None:
+            if stopping:
+                numbers = f"{plan.rows[first]} … {plan.rows[piece.stretch[1] - 1]}"
+                raise SweepStoppedError(f"rows {numbers} could not be computed: {piece.error}")
+            leases.set_aside(piece.stretch, piece.error)
+        else:
+            if piece.environment:
+                store.prepare(folder, plan, [piece.environment])
+            store.write_chunk(folder, plan, first, piece.last, piece.columns)
+            share.done((first, piece.last))
+    finally:
+        share.give_back(piece.stretch)
+
+
+def _finished(folder: Path, result: Result) -> Result:
+    """The result with its baseline; its summary is written unless it is there."""
     summary = store.read_summary(folder)
     if summary.get("result_hash") != result.hash:
+        outcome = baseline(result.plan)
+        ok = (np.asarray(outcome.status) == Status.OK).all()
+        found = [float(np.max(outcome.metrics.rms)), float(np.max(outcome.margins.M_s))] if ok else [math.inf] * 2
         # JSON has no infinity: an unstable baseline is null.
-        baseline = [value if math.isfinite(value) else None for value in _baseline(spec)]
+        point = [value if math.isfinite(value) else None for value in found]
         counts = result.status_counts()
-        summary = {"result_hash": result.hash, "rows": len(result), "status": counts, "baseline": baseline}
+        summary = {"result_hash": result.hash, "rows": len(result), "status": counts, "baseline": point}
         store.write_summary(folder, summary)
-    return Result(plan, columns, baseline_of(summary))
-
-
-class CostEstimate(NamedTuple):
-    """What a sweep will take."""
-
-    compile_s: float
-    """First call of the compiled program [s]."""
-    rate: float
-    """Controllers per second after that [1/s]."""
-
-
-def estimate(spec: SweepSpec) -> CostEstimate:
-    """Measure the first rows of a sweep, two calls of as many rows as there are in one round."""
-    rows = min(len(make_plan(spec).rows), rows_at_a_time())
-    times = []
-    for _ in range(2):
-        began = time.perf_counter()
-        compute(spec, 0, rows)
-        times.append(time.perf_counter() - began)
-    return CostEstimate(max(times[0] - times[1], 0.0), rows / times[1])
+    return Result(result.plan, result.columns, baseline_of(summary))
 
 
 class _Count:
-    """What the progress line says of the rows computed in this run."""
+    """What the progress line says: rows of this process at once, those of others as they come."""
 
-    def __init__(self, tick: Tick, done: int) -> None:
-        self.tick, self.done, self.bad, self.best = tick, done, 0, math.inf
-        self.began: tuple[float, int] | None = None
+    def __init__(self, tick: Tick, goal: SweepGoal, share: Share) -> None:
+        self._tick, self._goal, self._share = tick, goal, share
+        self._mine, self._before, self._bad = 0, int(share.there.sum()), 0
+        self._best: float | None = None
+        self._began: tuple[float, int] | None = None
 
     def add(self, columns: Columns) -> None:
+        """Rows of a round."""
         ok = (columns["status"] == Status.OK).all(axis=1)
-        robust = ok & (columns["M_s"] <= ROBUST).all(axis=1)
-        if robust.any():
-            self.best = min(self.best, float(columns["rms"][robust].max(axis=(1, 2)).min()))
-        self.done, self.bad = self.done + len(ok), self.bad + int((~ok).sum())
-        best = (
-            f"best {self.best:.4f} N at M_s ≤ {ROBUST:g}" if math.isfinite(self.best) else f"none with M_s ≤ {ROBUST:g}"
-        )
+        self._mine, self._bad = self._mine + len(ok), self._bad + int((~ok).sum())
+        good = ok & np.all([keeps(columns, name, limit) for name, limit in self._goal.constraints.items()], axis=0)
+        if good.any():
+            values = worst(columns, self._goal.best)[good]
+            ceiling = MEASURED[self._goal.best].ceiling
+            found = float(values.min() if ceiling else values.max())
+            better = self._best is None or (found < self._best) == ceiling
+            self._best = found if better else self._best
+        best = "none good yet" if self._best is None else f"best {MEASURED[self._goal.best].amount(self._best, '.4g')}"
         now = time.monotonic()
         # From the end of the first round: that one also compiled.
-        start, before = self.began = self.began or (now, self.done)
-        rate = f"{(self.done - before) / (now - start):.0f} rows/s, " if now > start else ""
-        self.tick(self.done, f"{rate}{self.bad} not OK, {best}")
-
-
-def _baseline(spec: SweepSpec) -> Point:
-    outcome = evaluated(spec, spec.params.with_columns({"lam": spec.params.lam[None]}))
-    if (np.asarray(outcome.status) == Status.OK).all():
-        return Point(float(np.max(outcome.metrics.rms)), float(np.max(outcome.margins.M_s)))
-    return Point(math.inf, math.inf)
+        start, before = self._began = self._began or (now, self._mine)
+        rate = f"{(self._mine - before) / (now - start):.0f} rows/s, " if now > start else ""
+        # Rows of others and of this process's chunk in work; the latter are not yet there.
+        done = min(max(int(self._share.there.sum()), self._before + self._mine), len(self._share.there))
+        self._tick(done, f"{rate}{self._bad} not OK, {best}")

@@ -1,149 +1,149 @@
-"""The points of a sweep: row number → parameters, the same whatever else is computed."""
+"""The points of a sweep: row number → an entry for every axis, the same whatever else is computed."""
 
 import math
-from typing import Literal
+from functools import reduce
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
 from jaxmpc.files.errors import InputError
-from jaxmpc.quantities import HORIZONS, PARAMETERS
+from jaxmpc.quantities import HORIZONS
+from sweeps.axis import SweepAxis, uniforms
 
 MOST_ROWS = 10_000_000
 """Largest grid or sample [rows]."""
-Scale = Literal["list", "linear", "log"]
+_TRIES = 1000
+"""How often a row of a sample is drawn again before the horizons are said to be at fault."""
 
-
-class SweepAxis(msgspec.Struct, frozen=True):
-    """One swept parameter.
-
-    Attributes:
-        name: A key of `jaxmpc.quantities.PARAMETERS`.
-        scale: How its values lie; "list" are those that the user wrote out.
-        values: The points of a grid or of a list, or the two ends of a range to draw from, in the parameter's unit.
-    """
-
-    name: str
-    scale: Scale
-    values: tuple[float, ...]
-
-    def draw(self, uniform: float) -> float:
-        """The value at a place in [0, 1) of the axis."""
-        if self.scale == "list":
-            return self.values[int(uniform * len(self.values))]
-        low, high = self.values
-        if self.scale == "log":
-            value = math.exp(math.log(low) + uniform * (math.log(high) - math.log(low)))
-        else:
-            value = low + uniform * (high - low)
-        return min(max(round(value) if self.name in HORIZONS else value, low), high)
+SpaceKind = Literal["grid", "random", "sobol"]
+Factor = tuple[SweepAxis, ...]
+"""Axes that advance together: of a grid they are equally long, of a sample drawn from one number."""
 
 
 class SweepSpace(msgspec.Struct, frozen=True):
     """Every row of a sweep.
 
-    A row's number is its index in the full grid, in row-major order of the axes as written, or its index in
-    the random sample; its parameters depend on that number alone.
+    A row's number is its index in the full grid, in row-major order of the factors, or its index in the sample; its
+    entries depend on that number alone. Factors that change the world stand first, so that rows of one world are
+    neighbours.
 
     Attributes:
-        kind: Grid or random sample.
-        axes: The swept parameters.
+        kind: Grid, random sample, or Sobol sequence (scrambled).
+        factors: What is multiplied; each is one axis or several zipped.
         count: Rows of the full grid or of the sample.
-        seed: Of the random sample.
+        seed: Of the sample.
         horizons: H_p and H_u where they are not swept [samples].
+        only: Numbers of the rows that are wanted, ascending; None is all.
     """
 
-    kind: Literal["grid", "random"]
-    axes: tuple[SweepAxis, ...]
+    kind: SpaceKind
+    factors: tuple[Factor, ...]
     count: int
     seed: int
     horizons: tuple[float, float]
+    only: tuple[int, ...] | None = None
+
+    @property
+    def axes(self) -> tuple[SweepAxis, ...]:
+        """Every swept parameter."""
+        return tuple(axis for factor in self.factors for axis in factor)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Points of each factor of a grid."""
+        return tuple(len(factor[0].values) for factor in self.factors)
+
+    @property
+    def of_worlds(self) -> bool:
+        """Whether any axis changes the world."""
+        return any(axis.of_world for axis in self.axes)
+
+    @property
+    def same_world(self) -> int:
+        """How many neighbours in number share a world: 1 in a sample that varies it."""
+        if not self.of_worlds:
+            return self.count
+        if self.kind != "grid":
+            return 1
+        apart = zip(self.factors, self.shape, strict=True)
+        return math.prod(n for factor, n in apart if not any(axis.of_world for axis in factor))
 
     def columns(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """Values of the swept parameters, each (len(rows),).
+        """Entries of the axes, each (len(rows),): numbers, or places among the values of a choice.
 
         Args:
             rows: Row numbers.
         """
-        if self.kind == "random":
-            table = np.array([self._drawn(int(row)) for row in rows]).reshape(len(rows), len(self.axes))
-            return {axis.name: table[:, i] for i, axis in enumerate(self.axes)}
-        places = np.unravel_index(rows, tuple(len(axis.values) for axis in self.axes))
-        return {axis.name: np.array(axis.values)[place] for axis, place in zip(self.axes, places, strict=True)}
+        if self.kind != "grid":
+            table = self._sample()
+            return {name: values[rows] for name, values in table.items()}
+        places = np.unravel_index(rows, self.shape)
+        return {
+            axis.name: axis.column()[place]
+            for factor, place in zip(self.factors, places, strict=True)
+            for axis in factor
+        }
 
     def rows(self) -> np.ndarray:
-        """Row numbers that are computed: those of a grid with H_u ≤ H_p, all of a random sample."""
-        rows = np.arange(self.count)
-        swept = {axis.name for axis in self.axes}
-        if self.kind == "grid" and swept & set(HORIZONS):
-            columns = self.columns(rows)
-            fixed = dict(zip(HORIZONS, self.horizons, strict=True))
-            rows = rows[columns.get("Hu", fixed["Hu"]) <= columns.get("Hp", fixed["Hp"])]
+        """Row numbers that are computed, ascending: those with H_u ≤ H_p, and only the wanted ones."""
+        rows = np.arange(self.count) if self.only is None else np.array(self.only, np.int64)
+        if self.kind != "random" and {axis.name for axis in self.axes} & set(HORIZONS):
+            rows = rows[~self._crossed(self.columns(rows))]
         return rows
 
-    def _drawn(self, row: int) -> list[float]:
-        """One row of the sample, from a counter-based generator of its own; drawn again while H_u > H_p."""
-        random = np.random.Generator(np.random.Philox(key=np.array([self.seed, row], np.uint64)))
-        while True:
-            values = [axis.draw(u) for axis, u in zip(self.axes, random.random(len(self.axes)), strict=True)]
-            found = dict(zip(HORIZONS, self.horizons, strict=True))
-            found.update((axis.name, value) for axis, value in zip(self.axes, values, strict=True))
-            if found["Hu"] <= found["Hp"]:
-                return values
+    def _crossed(self, columns: dict[str, np.ndarray]) -> Any:
+        """Where H_u exceeds H_p."""
+        fixed = dict(zip(HORIZONS, self.horizons, strict=True))
+        return columns.get("Hu", fixed["Hu"]) > columns.get("Hp", fixed["Hp"])
 
+    def _sample(self) -> dict[str, np.ndarray]:
+        """The whole sample; rows of a random one with H_u > H_p are drawn again, each on its own account."""
+        assert self.kind != "grid"
+        if self.kind == "sobol":
+            return self._entries(uniforms("sobol", self.count, len(self.factors), self.seed))
+        found = self._entries(uniforms("random", self.count, len(self.factors), self.seed))
+        for attempt in range(1, _TRIES):
+            wrong = np.broadcast_to(self._crossed(found), self.count)
+            if not wrong.any():
+                break
+            stream = np.random.Philox(self.seed).jumped(attempt)
+            again = self._entries(np.random.Generator(stream).random((self.count, len(self.factors))))
+            found = {name: np.where(wrong, again[name], values) for name, values in found.items()}
+        return found
 
-def make_axis(name: str, scale: Scale, values: tuple[float, ...], points: int | None) -> SweepAxis:
-    """An axis from its description in a spec.
-
-    Args:
-        name: The swept parameter.
-        scale: "list", or the spacing of a range.
-        values: The list, or the two ends of the range, in the parameter's unit.
-        points: Points on the range; None keeps its ends, to draw from.
-
-    Raises:
-        InputError: A value is not finite or out of bounds, a range is empty or a list repeats itself.
-    """
-    key = f"sweep.axes.{name}"
-    unit, (low, high) = PARAMETERS[name].unit, PARAMETERS[name].bounds
-    # One weight δ = 0 is a controller that controls nothing.
-    positive = scale == "log" or name == "delta"
-    bound = f"above 0 and at most {high:g} {unit}" if positive and low == 0.0 else f"in [{low:g}, {high:g}] {unit}"
-    for value in values:
-        if not low <= value <= high or (positive and value <= 0.0):
-            raise InputError(key, value, bound, f"Correct the values of {name}.")
-        if name in HORIZONS and value != int(value):
-            raise InputError(key, value, "a whole number of samples", f"Round the values of {name}.")
-    if scale == "list":
-        if not values:
-            raise InputError(key, "[]", "at least one value", "List values, or remove the axis.")
-        if len(set(values)) != len(values):
-            raise InputError(key, list(values), "free of repetition", "Each row of a sweep exists once.")
-        return SweepAxis(name, scale, values)
-    first, last = values
-    if not first < last:
-        raise InputError(key, list(values), "[smallest, largest]", "Swap the ends of the range, or list one value.")
-    if points is None:
-        return SweepAxis(name, scale, values)
-    spaced = np.geomspace(first, last, points) if scale == "log" else np.linspace(first, last, points)
-    # Rounding can make neighbours equal; each stays once.
-    return SweepAxis(name, scale, tuple(dict.fromkeys((np.round(spaced) if name in HORIZONS else spaced).tolist())))
+    def _entries(self, table: np.ndarray) -> dict[str, np.ndarray]:
+        return {axis.name: axis.draw(table[:, i]) for i, factor in enumerate(self.factors) for axis in factor}
 
 
 def make_space(
-    kind: Literal["grid", "random"], axes: tuple[SweepAxis, ...], rows: int, seed: int, horizons: tuple[float, float]
+    kind: SpaceKind, factors: tuple[Factor, ...], rows: int, seed: int, horizons: tuple[float, float]
 ) -> SweepSpace:
-    """A sweep's space; see `SweepSpace` for the arguments, of which `rows` is used by a random sample only.
+    """A sweep's space; see `SweepSpace` for the arguments, of which `rows` is used by a sample only.
 
     Raises:
-        InputError: There are too many rows, or none with H_u ≤ H_p.
+        InputError: An axis stands twice, zipped axes differ in length, there are too many rows, or none with H_u ≤ H_p.
     """
-    count = math.prod(len(axis.values) for axis in axes) if kind == "grid" else rows
+    axes = [axis for factor in factors for axis in factor]
+    names = [axis.name for axis in axes]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"sweep.axes.{twice}", "swept twice", "swept once", "Remove one of the two.")
+    for factor in factors if kind == "grid" else ():
+        lengths = {axis.name: len(axis.values) for axis in factor}
+        if len(set(lengths.values())) > 1:
+            found = ", ".join(f"{name}: {length}" for name, length in lengths.items())
+            raise InputError("sweep.zip", found, "equally long", "Zipped axes advance together, point by point.")
+    # Stable: what the user wrote first stays first among the worlds and among the controllers.
+    ordered = tuple(sorted(factors, key=lambda factor: not any(axis.of_world for axis in factor)))
+    count = reduce(lambda n, factor: n * len(factor[0].values), factors, 1) if kind == "grid" else rows
     if count > MOST_ROWS:
         raise InputError("sweep.axes", f"{count} rows", f"at most {MOST_ROWS} rows", "Take fewer points.")
     ends = {name: (value, value) for name, value in zip(HORIZONS, horizons, strict=True)}
-    ends.update((axis.name, (min(axis.values), max(axis.values))) for axis in axes)
+    ends.update((axis.name, (min(axis.values), max(axis.values))) for axis in axes if axis.name in HORIZONS)
     if ends["Hu"][0] > ends["Hp"][1]:
         bound = f"in [1, Hp (= {ends['Hp'][1]:g})] samples"
         raise InputError("Hu", f"{ends['Hu'][0]:g} or more", bound, "Lower Hu or raise Hp: no row is left.")
-    return SweepSpace(kind, axes, count, seed, horizons)
+    space = SweepSpace(kind, ordered, count, seed, horizons)
+    if kind == "grid" and count <= 1_000_000 and not len(space.rows()):
+        raise InputError("Hu", "above Hp in every row", "at most Hp somewhere", "Lower Hu or raise Hp.")
+    return space

@@ -1,56 +1,34 @@
-"""What is swept, from a TOML file: experiment, base controller, axes."""
+"""What is swept, from a TOML file: experiment, base controller, axes, and what makes a row a good one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-import msgspec
+from typing import Any
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
-from jaxmpc.quantities import PARAMETERS
 from jaxmpc.synthesis.params import Params
-from jaxmpc.world.heart.bounds import Seed
-from sweeps.space import MOST_ROWS, Scale, SweepAxis, SweepSpace, make_axis, make_space
-
-Ends = tuple[float, float]
-Precision = Literal["float32", "float64"]
-
-
-class Range(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A range of a parameter, in its unit: `linear` or `log`, and for a grid the number of points."""
-
-    linear: Ends | None = None
-    log: Ends | None = None
-    points: Annotated[int, msgspec.Meta(ge=2, le=100_000)] | None = None
-
-
-class SweepTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The table [sweep] of a spec."""
-
-    kind: Literal["grid", "random"]
-    axes: dict[str, Any]
-    """A list of values or a `Range` for each swept parameter."""
-    rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_ROWS)] | None = None
-    """Size of a random sample."""
-    seed: Seed | None = None
-    """Seed of a random sample."""
-    precision: Precision = "float32"
-    """Precision of the time stepping; design and margins are always float64."""
+from sweeps.goal import MEASURED, SweepGoal, columns_kept
+from sweeps.reading import read_space, stiffness_set
+from sweeps.space import SweepSpace
+from sweeps.tables import OnError, Precision, RefineTable, SweepTable
 
 
 @dataclass(frozen=True)
 class SweepSpec:
-    """A sweep: every controller of `space`, otherwise like `params`, on one experiment.
+    """A sweep: every row of `space`, otherwise like `params` on `experiment`.
 
     Attributes:
         experiment: What the controllers meet.
         params: The base controller, which is also the baseline of the report.
-        space: The swept parameters.
+        space: The swept parameters of both.
         precision: Of the time stepping.
         name: For people; no part of the spec's hash.
+        goal: How rows are ranked; no part of the spec's hash.
+        kept: Metrics and margins that are kept.
+        on_error: What to do about a chunk that cannot be computed; no part of the spec's hash.
+        refine: How it goes on from there (`sweeps.refine`); None is not at all.
     """
 
     experiment: Experiment
@@ -58,6 +36,10 @@ class SweepSpec:
     space: SweepSpace
     precision: Precision = "float32"
     name: str = "sweep"
+    goal: SweepGoal = field(default_factory=SweepGoal)
+    kept: tuple[str, ...] = tuple(MEASURED)
+    on_error: OnError = "keep"
+    refine: RefineTable | None = None
 
     @staticmethod
     def from_toml(path: str | Path) -> "SweepSpec":
@@ -82,53 +64,73 @@ class SweepSpec:
         Raises:
             InputError: A key is unknown, or a value of the wrong type or out of bounds.
         """
-        known_tables(data, ("experiment", "params", "sweep"))
+        known_tables(data, ("experiment", "params", "sweep", "refine"))
         if "sweep" not in data:
             raise InputError("sweep", "missing", "a table", 'Add [sweep] with kind = "grid" and [sweep.axes].')
-        experiment = experiment_table(data.get("experiment", {}), folder)
-        params = params_table(data.get("params", {}), folder)
         known_keys(SweepTable, data["sweep"], "sweep")
         table = convert(data["sweep"], SweepTable, "sweep")
-        return SweepSpec(experiment, params, _space(table, params), table.precision, name)
+        world = dict(data.get("experiment", {}))
+        if isinstance(wanted := world.get("stiffness"), str):
+            world["stiffness"] = stiffness_set(wanted, table.stiffness_sets, "experiment.stiffness")
+        experiment = experiment_table(world, folder)
+        params = params_table(data.get("params", {}), folder)
+        goal = SweepGoal(table.best) if table.constraints is None else SweepGoal(table.best, table.constraints)
+        space = read_space(table, params, experiment)
+        kept = columns_kept(table.columns, goal)
+        spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)
+        return replace(spec, refine=_refine(data["refine"], spec)) if "refine" in data else spec
+
+    def on(self, changes: dict[str, Any], root: str = "experiment") -> "SweepSpec":
+        """The same sweep on a changed experiment.
+
+        Args:
+            changes: Keys of the experiment; those of a table change that key alone.
+            root: Name of the table that they stand in, for messages.
+
+        Raises:
+            InputError: They do not make an experiment.
+        """
+        data = self.experiment.to_dict()
+        for key, value in changes.items():
+            merge = isinstance(value, dict) and isinstance(data.get(key), dict)
+            data[key] = {**data[key], **value} if merge else value
+        return replace(self, experiment=Experiment.from_dict(data, root=root))
+
+    def only(self, rows: tuple[int, ...]) -> "SweepSpec":
+        """The same sweep of some rows alone, which keep their numbers and their bits."""
+        from msgspec.structs import replace as changed
+
+        return replace(self, space=changed(self.space, only=tuple(sorted(rows))))
 
 
-def _space(table: SweepTable, params: Params) -> SweepSpace:
-    if not table.axes:
-        raise InputError("sweep.axes", "empty", "at least one parameter", f"Known: {', '.join(PARAMETERS)}.")
-    if table.kind == "random" and table.rows is None:
-        raise InputError("sweep.rows", "missing", "given for a random sweep", "Add `rows = 1000`, say.")
-    for key, value in (("rows", table.rows), ("seed", table.seed)):
-        if table.kind == "grid" and value is not None:
-            remedy = f'Remove {key}, or set kind = "random".'
-            raise InputError(f"sweep.{key}", value, "left out of a grid", remedy)
-    axes = tuple(_axis(name, described, table.kind) for name, described in table.axes.items())
-    horizons = (float(params.Hp), float(params.Hu))
-    return make_space(table.kind, axes, table.rows or 0, table.seed or 0, horizons)
+def _refine(data: Any, spec: SweepSpec) -> RefineTable:
+    """The table [refine], checked against the sweep that it refines.
 
-
-def _axis(name: str, described: Any, kind: str) -> SweepAxis:
-    key = f"sweep.axes.{name}"
-    if name not in PARAMETERS:
-        raise InputError(key, "swept", "a known parameter", nearest(name, list(PARAMETERS)))
-    if isinstance(described, list):
-        for value in described:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(key, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
-        return make_axis(name, "list", tuple(map(float, described)), None)
-    if not isinstance(described, dict):
-        raise InputError(
-            key, described, "a list or a range", "Write [1.0, 2.0], say; one value belongs under [params]."
-        )
-    known_keys(Range, described, key)
-    described = convert(described, Range, key)
-    ranges: tuple[tuple[Scale, Ends | None], ...] = (("linear", described.linear), ("log", described.log))
-    given = [(scale, ends) for scale, ends in ranges if ends is not None]
-    if len(given) != 1:
-        raise InputError(key, "a range", "either linear or log", "Write { log = [0.01, 10.0], points = 20 }, say.")
-    if (described.points is None) == (kind == "grid"):
-        found, wanted = (
-            ("missing", "given for a grid") if kind == "grid" else (described.points, "left out of a sample")
-        )
-        raise InputError(f"{key}.points", found, wanted, "A grid needs the number of points, a random sweep only rows.")
-    scale, ends = given[0]
-    return make_axis(name, scale, ends, described.points)
+    Raises:
+        InputError: It does not go with the sweep.
+    """
+    known_keys(RefineTable, data, "refine")
+    table = convert(data, RefineTable, "refine")
+    for key, wanted in (("stages", "halving"), ("rounds", "pareto"), ("points", "pareto"), ("goals", "pareto")):
+        if key in data and table.method != wanted:
+            raise InputError(f"refine.{key}", "given", f'given with method = "{wanted}"', f"Remove {key}.")
+    if table.method == "halving" and not table.stages:
+        remedy = "Add [[refine.stages]] with keep = 400 and experiment = { duration = 4.0 }, say."
+        raise InputError("refine.stages", "empty", "one stage or more", remedy)
+    if table.method == "none" and table.rerun is None:
+        raise InputError("refine.method", "none", '"halving", "pareto", or with a rerun', "Remove [refine].")
+    if table.method == "pareto":
+        if spec.space.of_worlds:
+            bound = "of parameters of the controller alone"
+            raise InputError("refine.method", "pareto", bound, "Rows of different worlds have no common front.")
+        for goal in table.goals:
+            if goal not in spec.kept:
+                raise InputError("refine.goals", goal, "kept by the sweep", nearest(goal, list(spec.kept)))
+    keeps = [stage.keep for stage in table.stages]
+    if keeps != sorted(keeps, reverse=True):
+        raise InputError("refine.stages", keeps, "ever fewer rows", "A later stage keeps a part of an earlier one.")
+    for i, stage in enumerate(table.stages):
+        spec.on(stage.experiment, f"refine.stages[{i}].experiment")
+    if table.rerun is not None:
+        spec.on(table.rerun.experiment, "refine.rerun.experiment")
+    return table

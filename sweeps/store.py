@@ -1,28 +1,33 @@
 """A sweep's folder: a manifest and sealed chunks; what is there and intact need not be computed again.
 
-    manifest.json                    the canonical spec, its hash, the environments that computed
+    manifest.json                    the canonical spec, its hash, how rows are ranked, the environments that computed
+    recordings/…                     the content of recordings that the spec names
     chunks/000000000-000002048.npz   planned rows 0 … 2047, sealed
+    leases/, aside/                  who works on what, and what is given up (`sweeps.leases`)
     result.json                      the hash of the result, once every row is there
 
-A chunk is named by the rows that it holds, so the chunk size may differ from run to run. Two processes in
-one folder do double work and no harm: they write the same rows, and every write is atomic.
+A chunk is named by the rows that it holds, so the chunk size may differ from run to run. Work that is done twice does
+no harm: whoever does it writes the same rows, and every write is atomic.
 """
 
 import json
 import logging
 import os
-import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
-from jaxmpc import __version__
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import SealError, canonical_json, digest, seal, unseal, write_atomic
+from sweeps.goal import SweepGoal
+from sweeps.machine import environment
 from sweeps.plan import SCHEMA, Columns, Plan
 
+DAMAGED = ".damaged"
+REFINED = "jaxmpc-refine/1"
 log = logging.getLogger(__name__)
 
 
@@ -35,36 +40,6 @@ class StoredChunks(NamedTuple):
     """Whether each planned row is there."""
 
 
-def environment() -> dict[str, str]:
-    """What the bits of a result may depend on besides its spec; no host name, no path."""
-    import jax
-    import jaxlib.version
-
-    # Neither a dump of the compiler nor how many devices there are changes a row; only one or several does.
-    neutral = ("--xla_force_host_platform_device_count", "--xla_dump")
-    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(neutral)]
-    return {
-        "jaxmpc": __version__,
-        "python": platform.python_version(),
-        "jax": jax.__version__,
-        "jaxlib": jaxlib.version.__version__,
-        "numpy": np.__version__,
-        "platform": f"{platform.system()} {platform.machine()}",
-        "cpu": _cpu(),
-        "device": jax.local_devices()[0].device_kind,
-        "devices": "one" if jax.local_device_count() == 1 else "several",
-        "xla_flags": " ".join(flags),
-    }
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-
-
 def read_plan(folder: Path) -> Plan:
     """The plan of an existing sweep.
 
@@ -72,11 +47,15 @@ def read_plan(folder: Path) -> Plan:
         InputError: The folder holds none, or one that was changed by hand.
     """
     manifest = _read(folder / "manifest.json")
+    if str(manifest.get("schema", "")).startswith("jaxmpc-sweep/") and manifest["schema"] != SCHEMA:
+        raise InputError("schema", manifest["schema"], SCHEMA, "Another version made it: run the spec anew with -o.")
     if manifest.get("schema") != SCHEMA or not isinstance(manifest.get("spec"), dict):
         raise InputError("sweep folder", folder, "a folder made by `jaxmpc sweep`", "It has no manifest of a sweep.")
     if digest(manifest["spec"]) != manifest.get("spec_hash"):
         raise InputError("spec_hash", folder / "manifest.json", "that of its spec", "The manifest was changed by hand.")
-    return Plan(manifest["spec"])
+    recordings = (folder / "recordings").glob("[0-9a-f]*")
+    files = {f"sha256:{path.name}": path.read_bytes() for path in recordings}
+    return Plan(manifest["spec"], files, msgspec.convert(manifest.get("goal", {}), SweepGoal))
 
 
 def check(folder: Path, plan: Plan) -> bool:
@@ -84,6 +63,51 @@ def check(folder: Path, plan: Plan) -> bool:
 
     Raises:
         InputError: It is no folder, holds something else, or the sweep of another spec.
+    """
+    if not _begun(folder):
+        return False
+    there = read_plan(folder)
+    if there.spec_hash != plan.spec_hash:
+        raise _another(folder, there.canonical, plan.canonical)
+    return True
+
+
+def check_refined(folder: Path, spec: Mapping[str, Any], spec_hash: str) -> bool:
+    """The same of a refined sweep, whose spec is plain data."""
+    if not _begun(folder):
+        return False
+    there = _read(folder / "manifest.json")
+    if there.get("schema") != REFINED:
+        raise InputError("output folder", folder, "empty or a refined sweep's", "It holds another: choose with -o.")
+    if there.get("spec_hash") != spec_hash:
+        raise _another(folder, there.get("spec", {}), spec)
+    return True
+
+
+def prepare_refined(folder: Path, spec: Mapping[str, Any], spec_hash: str) -> None:
+    """Make the folder of a refined sweep, unless it is there.
+
+    Raises:
+        InputError: See `check`.
+        OSError: The folder cannot be written.
+    """
+    if not check_refined(folder, spec, spec_hash):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomic(folder / "manifest.json", _pretty({"schema": REFINED, "spec_hash": spec_hash, "spec": spec}))
+    (folder / "stages").mkdir(exist_ok=True)
+
+
+def _another(folder: Path, there: Any, here: Any) -> InputError:
+    differing = "; ".join(differences(there, here)[:4])
+    remedy = f"It holds the sweep of another spec ({differing}): choose another with -o."
+    return InputError("output folder", folder, "empty or of the same spec", remedy)
+
+
+def _begun(folder: Path) -> bool:
+    """Whether a sweep has been begun in a folder.
+
+    Raises:
+        InputError: It is no folder, or holds something else.
     """
     if not folder.exists():
         return False
@@ -94,54 +118,94 @@ def check(folder: Path, plan: Plan) -> bool:
         return False
     if not (folder / "manifest.json").exists():
         raise InputError("output folder", folder, "empty or a sweep's", "It holds other files: choose another with -o.")
-    there = read_plan(folder)
-    if there.spec_hash != plan.spec_hash:
-        differing = differences(there.canonical, plan.canonical)
-        remedy = f"It holds the sweep of another spec ({'; '.join(differing[:4])}): choose another with -o."
-        raise InputError("output folder", folder, "empty or of the same spec", remedy)
     return True
 
 
-def prepare(folder: Path, plan: Plan) -> None:
+def prepare(folder: Path, plan: Plan, environments: Sequence[Mapping[str, str]] = ()) -> None:
     """Make the folder, or note that it is being continued.
+
+    Args:
+        folder: The sweep's.
+        plan: What is swept.
+        environments: In which rows are going to be computed, where that is not here.
 
     Raises:
         InputError: See `check`.
         OSError: The folder cannot be written.
     """
-    now = environment()
-    known = _read(folder / "manifest.json").get("environments", []) if check(folder, plan) else []
+    there = _read(folder / "manifest.json") if check(folder, plan) else {}
     folder.mkdir(parents=True, exist_ok=True)
-    if now not in known:
-        if known:
-            changed = ", ".join(differences(known[-1], now))
+    known = there.get("environments", [])
+    new = [dict(each) for each in (environments or [environment()]) if each not in known]
+    goal = msgspec.to_builtins(plan.goal)
+    if new or there.get("goal") != goal:
+        if new and known:
+            changed = ", ".join(differences(known[-1], new[0]))
             log.warning("this sweep was begun in another environment (%s): bits of its rows may differ", changed)
         manifest = {
             "schema": SCHEMA,
             "spec_hash": plan.spec_hash,
+            "goal": goal,
+            "environments": [*known, *new],
             "spec": plan.canonical,
-            "environments": [*known, now],
         }
         write_atomic(folder / "manifest.json", _pretty(manifest))
+    for name, content in plan.files.items():
+        path = folder / "recordings" / name.removeprefix("sha256:")
+        path.parent.mkdir(exist_ok=True)
+        if not path.exists():
+            write_atomic(path, content)
     # After the manifest: chunks without one would be a folder of something else, to a rerun or a second process.
     (folder / "chunks").mkdir(exist_ok=True)
 
 
-def read_chunks(folder: Path, plan: Plan) -> StoredChunks:
-    """Every intact row of this sweep; a damaged chunk is reported and counts as absent."""
+def read_chunks(folder: Path, plan: Plan, *, mend: bool = False) -> StoredChunks:
+    """Every intact row of this sweep; a damaged chunk is reported and counts as absent.
+
+    Args:
+        folder: The sweep's.
+        plan: What is swept.
+        mend: Whether to put damaged chunks out of the way, to be computed again.
+    """
     rows = len(plan.rows)
     columns = {name: np.zeros((rows, *column.shape), column.dtype) for name, column in plan.layout.items()}
     there = np.zeros(rows, bool)
-    for path in sorted((folder / "chunks").glob("[0-9]*.npz")):
+    for path in chunk_files(folder):
         try:
             first, last, arrays = _read_chunk(path, plan)
+        except FileNotFoundError:
+            continue
         except SealError as error:
             log.warning("%s is computed again: %s", path.name, error)
+            if mend:
+                os.replace(path, path.with_name(path.name + DAMAGED))
             continue
         for name, values in arrays.items():
             columns[name][first:last] = values
         there[first:last] = True
     return StoredChunks(columns, there)
+
+
+def stage_folders(folder: Path) -> list[Path]:
+    """Folders of the stages of a refined sweep that have begun, in order; none of a plain one."""
+    found = sorted((folder / "stages").glob("[0-9]*"))
+    return [path for path in found if (path / "manifest.json").exists()]
+
+
+def chunk_files(folder: Path) -> list[Path]:
+    """The chunks of a folder, by the rows that they hold."""
+    return sorted((folder / "chunks").glob("[0-9]*.npz"))
+
+
+def chunk_name(first: int, last: int) -> str:
+    """Name of a chunk, of its lease, and of what is set aside."""
+    return f"{first:09d}-{last:09d}"
+
+
+def stretch_of(name: str) -> tuple[int, int] | None:
+    """First row and the one behind the last, of a name; None if it is none of ours."""
+    first, _, last = name.partition(".")[0].partition("-")
+    return (int(first), int(last)) if first.isdigit() and last.isdigit() else None
 
 
 def write_chunk(folder: Path, plan: Plan, first: int, last: int, columns: Mapping[str, np.ndarray]) -> None:
@@ -151,7 +215,11 @@ def write_chunk(folder: Path, plan: Plan, first: int, last: int, columns: Mappin
         OSError: The disk is full or the folder not writable.
     """
     header = {"schema": SCHEMA, "spec_hash": plan.spec_hash, "first": first, "last": last}
-    write_atomic(folder / "chunks" / f"{first:09d}-{last:09d}.npz", seal(header, columns))
+    path = folder / "chunks" / f"{chunk_name(first, last)}.npz"
+    # Who slept while another did its work has the same bits, and nothing to add.
+    if not path.exists():
+        write_atomic(path, seal(header, columns))
+    path.with_name(path.name + DAMAGED).unlink(missing_ok=True)
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
@@ -171,6 +239,8 @@ def _read_chunk(path: Path, plan: Plan) -> tuple[int, int, Columns]:
     if header.get("spec_hash") != plan.spec_hash or header.get("schema") != SCHEMA:
         raise SealError("it belongs to another sweep")
     first, last = header["first"], header["last"]
+    if not (isinstance(first, int) and isinstance(last, int) and 0 <= first < last <= len(plan.rows)):
+        raise SealError("its rows are not those of this sweep")
     shapes = {name: (column.dtype, (last - first, *column.shape)) for name, column in plan.layout.items()}
     if {name: (values.dtype.str, values.shape) for name, values in arrays.items()} != shapes:
         raise SealError("its columns are not those of this sweep")

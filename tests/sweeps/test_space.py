@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from sweeps.space import SweepAxis, SweepSpace, make_axis, make_space
+from sweeps.axis import SweepAxis, make_axis
+from sweeps.space import SweepSpace, make_space
 
 TEXT = (30.0, 5.0)
 """H_p and H_u of the text design."""
@@ -18,19 +19,19 @@ def sample(rows: int, seed: int = 7) -> SweepSpace:
         make_axis("Hu", "linear", (1.0, 16.0), None),
         make_axis("K2", "list", (5.0, 10.0, 50.0), None),
     )
-    return make_space("random", axes, rows, seed, TEXT)
+    return make_space("random", tuple((axis,) for axis in axes), rows, seed, TEXT)
 
 
 def test_a_grid_is_row_major_in_the_order_written() -> None:
     axes = (SweepAxis("lam", "list", (3.0, 1.0)), SweepAxis("K2", "list", (5.0, 7.0, 9.0)))
-    space = make_space("grid", axes, 0, 0, TEXT)
+    space = make_space("grid", tuple((axis,) for axis in axes), 0, 0, TEXT)
     columns = space.columns(space.rows())
     assert list(zip(columns["lam"], columns["K2"], strict=True)) == list(itertools.product((3.0, 1.0), (5.0, 7.0, 9.0)))
 
 
 def test_a_part_of_a_grid_holds_what_the_whole_has_there() -> None:
     axes = (SweepAxis("lam", "list", (3.0, 1.0)), SweepAxis("K2", "list", (5.0, 7.0, 9.0)))
-    space = make_space("grid", axes, 0, 0, TEXT)
+    space = make_space("grid", tuple((axis,) for axis in axes), 0, 0, TEXT)
     whole, part = space.columns(space.rows()), space.columns(np.array([4, 1]))
     for name in ("lam", "K2"):
         np.testing.assert_array_equal(part[name], whole[name][[4, 1]])
@@ -38,13 +39,13 @@ def test_a_part_of_a_grid_holds_what_the_whole_has_there() -> None:
 
 def test_pairs_with_hu_above_hp_are_left_out_and_numbers_stay() -> None:
     axes = (SweepAxis("Hp", "list", (1.0, 2.0, 3.0)), SweepAxis("Hu", "list", (1.0, 2.0, 3.0)))
-    space = make_space("grid", axes, 0, 0, TEXT)
+    space = make_space("grid", tuple((axis,) for axis in axes), 0, 0, TEXT)
     assert space.count == 9
     assert space.rows().tolist() == [0, 3, 4, 6, 7, 8]
 
 
 def test_a_fixed_hu_counts_as_well() -> None:
-    space = make_space("grid", (SweepAxis("Hp", "list", (4.0, 5.0)),), 0, 0, (30.0, 5.0))
+    space = make_space("grid", ((SweepAxis("Hp", "list", (4.0, 5.0)),),), 0, 0, (30.0, 5.0))
     assert space.rows().tolist() == [1]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxmpc.files.errors import InputError
 from sweeps.plan import make_plan
 from sweeps.spec import SweepSpec
 
@@ -172,3 +173,33 @@ def test_the_example_of_the_guide_works() -> None:
     guide = (Path(__file__).parents[2] / "docs" / "sweeps.md").read_text(encoding="utf-8")
     example = guide.split("```toml\n")[1].split("```")[0]
     assert len(make_plan(SweepSpec.from_dict(tomllib.loads(example))).rows) == 24 * 20 * 4 * 3
+
+
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        ({"delay": [1, 3]}, ["sweep.axes.delay = 3", "<= 2"]),
+        ({"arm.cable_hz": [0.0, 250.0]}, ["sweep.axes.arm.cable_hz = 250", "arm.substeps"]),
+        ({"tissue.kind": ["elastic", "fung"]}, ["sweep.axes.tissue.kind = fung", 'physics = "wam"']),
+        ({"arm.coulom": [1.0]}, ["sweep.axes.arm.coulom", "Did you mean 'arm.coulomb'"]),
+        ({"arm.posture.7": [1.0]}, ["sweep.axes.arm.posture.7", "an entry that is there"]),
+        ({"arm.target": {"values": [1.0], "relative": True}}, ["sweep.axes.arm.target", "a number to multiply"]),
+        ({"stiffness": ["papier"]}, ["sweep.axes.stiffness = papier", "Did you mean 'paper'"]),
+        ({"stiffness": ["paper", "family"]}, ["[3, 5] tissues", "sets of one length"]),
+    ],
+)
+def test_worlds_that_cannot_be_are_refused(axes: dict[str, object], words: list[str]) -> None:
+    with pytest.raises(InputError) as caught:
+        SweepSpec.from_dict({"sweep": {"kind": "grid", "axes": axes}})
+    assert [word for word in words if word not in str(caught.value)] == []
+
+
+GALLERY = sorted((Path(__file__).parents[2] / "docs" / "gallery").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", GALLERY, ids=[path.stem for path in GALLERY])
+def test_the_gallery_has_the_rows_that_it_says(path: Path) -> None:
+    page = (path.parents[1] / "sweeps-gallery.md").read_text(encoding="utf-8")
+    line = next(line for line in page.splitlines() if path.name in line)
+    rows = line.split("|")[3].split(",")[0].split(" on ")[0].split(" in ")[0].replace(" ", "")
+    assert len(make_plan(SweepSpec.from_toml(path)).rows) == int(rows)

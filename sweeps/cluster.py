@@ -1,0 +1,177 @@
+"""Dask.distributed computes: workers on this machine or on many; this process alone writes."""
+
+import queue
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Any
+
+from jaxmpc.files.errors import InputError
+from sweeps.blocks import padded
+from sweeps.crew import ComputedChunk, Crew, Stop
+from sweeps.leases import Leases, Stretch
+from sweeps.pace import Pace
+from sweeps.plan import Columns, Plan
+from sweeps.share import PATIENCE, Share
+
+AHEAD = 2
+"""Chunks that each worker has in its hands, so that none waits for the next."""
+CONNECT_S = 10.0
+"""So long a scheduler may take to answer [s]."""
+ALLOWED_DEATHS = 3
+"""So many workers of ours may die of one chunk; a scheduler of the user's has its own `allowed-failures`."""
+_SECURE = ("tcp://", "tls://", "ucx://", "ws://", "wss://")
+
+
+def worked(plan: Plan, first: int, last: int, cores: int | None) -> tuple[Columns, dict[str, str], int, float]:
+    """A worker's side: columns, its environment, the rows that it ran, and how long that took [s].
+
+    Args:
+        plan: The sweep, with the content of its recordings.
+        first: Place of the first row among the planned ones.
+        last: Place behind the last.
+        cores: CPU cores that it may use; None is all of its machine's.
+    """
+    import time
+
+    _prepare(cores)
+    import jax
+
+    from sweeps.compute import compute
+    from sweeps.machine import environment
+
+    began = time.perf_counter()
+    columns = compute(plan, first, last)
+    devices = jax.local_device_count()
+    return columns, environment(), padded(plan, devices, first, last), time.perf_counter() - began
+
+
+_prepared = False
+
+
+def _prepare(cores: int | None) -> None:
+    """Make this process a worker: 64-bit JAX, a device per core; once, before JAX computes anything."""
+    global _prepared
+    if not _prepared:
+        from jaxmpc.terminal.process import use_all_cores
+
+        use_all_cores(cores)
+        _prepared = True
+
+
+class DaskCrew(Crew):
+    """Workers of a Dask scheduler.
+
+    Args:
+        told: Called with the columns of each chunk.
+        address: Of a scheduler; None starts workers here, on the loopback interface alone.
+        workers: How many to start here.
+        cores: CPU cores that each worker may use.
+
+    Raises:
+        InputError: Dask is not installed, or the scheduler does not answer.
+    """
+
+    def __init__(
+        self, told: Callable[[Columns], None], *, address: str | None, workers: int = 0, cores: int | None = None
+    ) -> None:
+        distributed, config = _dask()
+        self._told, self._cores, self._local = told, cores, None
+        # Progress and wrong input are ours to tell.
+        settings = {"distributed.scheduler.allowed-failures": ALLOWED_DEATHS, "distributed.admin.log-length": 0}
+        with config.set(settings):
+            if address is None:
+                self._local = distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address=None,
+                    worker_dashboard_address=None,
+                    silence_logs="ERROR",
+                )
+            self._client = self._connected(distributed, address or self._local)
+        self._landed: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    @staticmethod
+    def _connected(distributed: Any, where: Any) -> Any:
+        try:
+            return distributed.Client(where, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            remedy = "Start one: dask scheduler --host 127.0.0.1."
+            raise InputError("--cluster", where, f"a scheduler that answers ({error})", remedy) from None
+
+    def close(self) -> None:
+        """Let go of the scheduler; workers that were started here end."""
+        self._client.close()
+        if self._local is not None:
+            self._local.close()
+
+    def work(self, plan: Plan, share: Share, leases: Leases, pace: Pace, stop: Stop) -> Iterator[ComputedChunk]:
+        """See `Crew.work`."""
+        flying: dict[Any, Stretch] = {}
+        # Whoever dies here is a worker, and its scheduler counts.
+        leases.warm = True
+        try:
+            while True:
+                self._send(plan, share, pace, stop, flying)
+                if not flying:
+                    if stop() or share.finished():
+                        return
+                    share.wait(stop)
+                    continue
+                with suppress(queue.Empty):
+                    future = self._landed.get(timeout=PATIENCE)
+                    yield self._chunk(future, flying.pop(future), pace)
+        finally:
+            self._client.cancel(list(flying))
+            for stretch in flying.values():
+                share.give_back(stretch)
+
+    def _send(self, plan: Plan, share: Share, pace: Pace, stop: Stop, flying: dict[Any, Stretch]) -> None:
+        """Hand out chunks until every worker has enough."""
+        workers = max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+        while len(flying) < AHEAD * workers and not stop():
+            stretch = share.next(pace.length)
+            if stretch is None:
+                return
+            future = self._client.submit(worked, plan, *stretch, self._cores, pure=False)
+            flying[future] = stretch
+            future.add_done_callback(self._landed.put)
+
+    def _chunk(self, future: Any, stretch: Stretch, pace: Pace) -> ComputedChunk:
+        try:
+            columns, environment, rows, seconds = future.result()
+        # Of any type: whatever is wrong with these rows, the others are still wanted.
+        except Exception as reason:
+            return ComputedChunk(stretch, stretch[0], None, f"{type(reason).__name__}: {reason}")
+        pace.tell(rows, seconds)
+        self._told(columns)
+        return ComputedChunk(stretch, stretch[1], columns, environment=environment)
+
+
+def check_installed() -> None:
+    """Refuse to go on without Dask.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    _dask()
+
+
+def check_address(address: str) -> None:
+    """Refuse what is no address of a scheduler.
+
+    Raises:
+        InputError: It has no protocol.
+    """
+    if not address.startswith(_SECURE):
+        raise InputError("--cluster", address, "tcp://HOST:PORT or tls://HOST:PORT", "A scheduler prints its address.")
+
+
+def _dask() -> tuple[Any, Any]:
+    try:
+        import dask
+        import distributed
+    except ModuleNotFoundError:
+        remedy = "Install the extra: pip install 'jaxmpc[cluster]'."
+        raise InputError("distributed", "not installed", "installed for work on several machines", remedy) from None
+    return distributed, dask.config

@@ -1,0 +1,63 @@
+"""What makes a row a good one: a quantity to be minimised, and limits that it must keep."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.quantities import HIGHEST_M_S, MARGINS, METRICS, Quantity
+
+MEASURED: Mapping[str, Quantity] = MappingProxyType({**METRICS, **MARGINS})
+"""What can be ranked, limited and kept."""
+
+
+class SweepGoal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How rows are ranked; no bit of a row depends on it.
+
+    Attributes:
+        best: The metric or margin that ranks, at its worst over stiffness and axis.
+        constraints: Limit of each quantity that must be kept at every stiffness and axis, in its unit: a ceiling or a
+            floor, as the quantity is.
+    """
+
+    best: str = "rms"
+    constraints: dict[str, float] = msgspec.field(default_factory=lambda: {"M_s": HIGHEST_M_S})
+
+    def __post_init__(self) -> None:
+        for key, name in (("sweep.best", self.best), *((f"sweep.constraints.{n}", n) for n in self.constraints)):
+            if name not in MEASURED:
+                raise InputError(key, name, "a metric or margin", nearest(name, list(MEASURED)))
+        for name, limit in self.constraints.items():
+            if limit != limit or abs(limit) == float("inf"):
+                raise InputError(f"sweep.constraints.{name}", limit, "a finite number", "Remove it for no limit.")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Quantities that it needs."""
+        return (self.best, *self.constraints)
+
+    def limited(self, changes: Mapping[str, Any]) -> "SweepGoal":
+        """The same with some limits changed."""
+        return msgspec.structs.replace(self, constraints={**self.constraints, **changes})
+
+    @property
+    def text(self) -> str:
+        """It, for a person."""
+        sense = "least" if MEASURED[self.best].ceiling else "largest"
+        limits = ", ".join(f"{name} {MEASURED[name].sign} {limit:g}" for name, limit in self.constraints.items())
+        return f"{sense} {self.best}" + (f" with {limits}" if limits else "")
+
+
+def columns_kept(chosen: list[str] | None, goal: SweepGoal) -> tuple[str, ...]:
+    """Metrics and margins that a sweep keeps, in the order of the tables; what ranks is always among them.
+
+    Raises:
+        InputError: One is unknown.
+    """
+    for name in chosen or ():
+        if name not in MEASURED:
+            raise InputError("sweep.columns", name, "a metric or margin", nearest(name, list(MEASURED)))
+    wanted = set(MEASURED) if chosen is None else {*chosen, *goal.names, "rms", "M_s"}
+    return tuple(name for name in MEASURED if name in wanted)

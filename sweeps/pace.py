@@ -1,0 +1,32 @@
+"""How many rows make a chunk: as many as take a few seconds, as measured on the way."""
+
+CHUNK_SECONDS = 5.0
+"""Work that a chunk file holds [s]: what a kill can cost."""
+
+
+class Pace:
+    """How many rows make a chunk, from how long rows have taken.
+
+    Args:
+        fixed: Rows of a chunk; None is `CHUNK_SECONDS` of work.
+        width: Rows that are computed side by side.
+        most: Most rows of a chunk.
+    """
+
+    def __init__(self, fixed: int | None, width: int, most: int) -> None:
+        self._fixed, self._width, self._most = fixed, width, most
+        self.length = fixed or min(width, most)
+        self.first_s = self.seconds = 0.0
+        self.rounds = self.rows = 0
+        """Rounds so far, and the padded rows of all but the first, which may have compiled."""
+
+    def tell(self, padded_rows: int, seconds: float) -> None:
+        """A round of so many rows took so long."""
+        self.rounds += 1
+        if self.rounds == 1:
+            self.first_s = seconds
+            return
+        self.rows, self.seconds = self.rows + padded_rows, self.seconds + seconds
+        if self._fixed is None and self.seconds > 0.0:
+            wanted = int(CHUNK_SECONDS * self.rows / self.seconds) // self._width * self._width
+            self.length = min(max(wanted, self._width), self._most)

@@ -1,0 +1,114 @@
+"""How fast this machine has computed what kind of rows: recorded after every run, so that an estimate needs no run."""
+
+import json
+import math
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxmpc.files.sealed import write_atomic
+from sweeps.blocks import block_of, in_pairs, padded, shares_signals
+from sweeps.machine import processor
+from sweeps.pace import Pace
+from sweeps.plan import Plan
+
+FOREIGN = 4.0
+"""An estimate from runs whose length differs by more than this factor is said to be one."""
+
+
+class CostEstimate(NamedTuple):
+    """What a sweep will take."""
+
+    compile_s: float
+    """Until the end of the first round, beyond its own work [s]."""
+    rate: float
+    """Rows per second after that [1/s]."""
+    rows: int
+    """Rows that are run, those that fill up blocks included."""
+    like: str
+    """From what it was taken."""
+
+    @property
+    def seconds(self) -> float:
+        """All of it [s]."""
+        return self.compile_s + self.rows / self.rate
+
+
+def kept_in() -> Path:
+    """The file of recorded rates, in the user's cache."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return cache / "jaxmpc" / "rates.json"
+
+
+def record(plan: Plan, pace: Pace, devices: int, where: Path | None = None) -> None:
+    """Note how long rows took; a cache that cannot be written costs the next estimate, nothing more."""
+    if not pace.rows:
+        return
+    path = where or kept_in()
+    per_row = pace.seconds / pace.rows
+    compile_s = max(pace.first_s - per_row * block_of(plan) * devices, 0.0)
+    table = _read(path)
+    table.setdefault(kind_of(plan, devices), {})[str(_samples(plan))] = [per_row, compile_s]
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, json.dumps(table, indent=1, sort_keys=True).encode())
+
+
+def estimate(plan: Plan, devices: int, missing: int | None = None, where: Path | None = None) -> CostEstimate | None:
+    """What a sweep will take on this machine; None where nothing like it has been run.
+
+    Args:
+        plan: What is swept.
+        devices: How many compute.
+        missing: Rows that are left; None is all.
+        where: File of the rates; None is the user's.
+    """
+    known = _read(where or kept_in()).get(kind_of(plan, devices), {})
+    if not known:
+        return None
+    samples = _samples(plan)
+    nearest = min(known, key=lambda name: abs(math.log(int(name) / samples)))
+    per_row, compile_s = known[nearest]
+    share = 1.0 if missing is None else missing / max(len(plan.rows), 1)
+    rows = round(padded(plan, devices, 0, len(plan.rows)) * share)
+    ratio = int(nearest) / samples
+    like = "runs like it on this machine" if 1 / FOREIGN < ratio < FOREIGN else "shorter or longer runs on this machine"
+    return CostEstimate(compile_s, 1.0 / (per_row / ratio), rows, like)
+
+
+def kind_of(plan: Plan, devices: int) -> str:
+    """What rows must have in common to be equally fast, per sample of a tissue."""
+    experiment, params = plan.canonical["experiment"], plan.canonical["params"]
+    arm, on_arm = experiment["arm"], experiment["physics"] != "linear"
+    way = ("pairs, signals shared" if shares_signals(plan) else "pairs") if in_pairs(plan) else f"{block_of(plan)}"
+    parts = [
+        processor(),
+        f"{devices} devices",
+        experiment["physics"],
+        plan.canonical["precision"],
+        f"blocks {way}",
+        params["architecture"],
+        f"{len(params.get('knots', ()))} knots",
+        "guarded" if params["guarded"] else "",
+        f"{arm['substeps']} substeps {arm['integrator']}" if on_arm else experiment["damping"],
+        "cable" if on_arm and arm["cable_hz"] else "",
+        experiment["tissue"]["kind"] if on_arm else "",
+        "preview" if experiment["reference"]["preview"] else "",
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def _samples(plan: Plan) -> int:
+    """Samples of a row, over all tissues."""
+    experiment = plan.canonical["experiment"]
+    steps = round(float(experiment["duration"]) / float(experiment["sampling_time"]))
+    return max(1, steps) * len(plan.stiffness)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return data if isinstance(data, dict) else {}

@@ -1,0 +1,160 @@
+"""From the tables of a sweep's file to its axes."""
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from jaxmpc.experiment import Experiment
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.toml import convert, known_keys
+from jaxmpc.quantities import PARAMETERS
+from jaxmpc.synthesis.params import Params
+from sweeps.axis import Scale, SweepAxis, choice_only, make_axis
+from sweeps.rows import world_of
+from sweeps.space import Factor, SpaceKind, SweepSpace, make_space
+from sweeps.tables import RANGE_KEYS, Ends, Range, SweepTable
+from sweeps.targets import read, target
+
+STIFFNESS_SETS: Mapping[str, tuple[float, ...]] = MappingProxyType(
+    {"paper": (375.0, 810.0, 1900.0), "family": (375.0, 550.0, 810.0, 1250.0, 1900.0)}
+)
+"""Stiffness sets by name [N/m]: the paper's foams, and the knots of the published family."""
+
+MOST_CHECKED = 64
+"""Points of a factor that are tried before anything runs."""
+
+
+def stiffness_set(name: str, own: Mapping[str, Any], key: str) -> tuple[float, ...]:
+    """A stiffness set by its name [N/m].
+
+    Raises:
+        InputError: There is none of this name.
+    """
+    known = {**STIFFNESS_SETS, **own}
+    if name not in known:
+        raise InputError(key, name, "a stiffness set", nearest(name, list(known)))
+    return tuple(map(float, known[name]))
+
+
+def read_space(table: SweepTable, params: Params, experiment: Experiment) -> SweepSpace:
+    """The points that a table describes.
+
+    Raises:
+        InputError: Names key, value, bound and remedy.
+    """
+    if not table.axes and not table.zip:
+        raise InputError("sweep.axes", "empty", "at least one parameter", f"Known: {', '.join(PARAMETERS)}, …")
+    if table.kind != "grid" and table.rows is None:
+        raise InputError("sweep.rows", "missing", "given for a sample", "Add `rows = 1000`, say.")
+    for key, value in (("rows", table.rows), ("seed", table.seed)):
+        if table.kind == "grid" and value is not None:
+            remedy = f'Remove {key}, or set kind = "random".'
+            raise InputError(f"sweep.{key}", value, "left out of a grid", remedy)
+    own, kind = table.stiffness_sets, table.kind
+    factors: list[Factor] = [(_axis(name, each, kind, own),) for name, each in flattened(table.axes)]
+    for group in table.zip:
+        axes = tuple(_axis(name, each, kind, own) for name, each in flattened(group))
+        if len(axes) < 2:
+            raise InputError("sweep.zip", list(group), "two axes or more", "Write a single axis under [sweep.axes].")
+        factors.append(axes)
+    _check_bases(factors, params, experiment)
+    for factor in factors:
+        _check_worlds(factor, experiment.to_dict())
+    horizons = (float(params.Hp), float(params.Hu))
+    return make_space(table.kind, tuple(factors), table.rows or 0, table.seed or 0, horizons)
+
+
+def flattened(axes: Mapping[str, Any], root: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted names of axes: `arm.cable_hz = […]` is a table in a table to TOML."""
+    for name, described in axes.items():
+        inner = isinstance(described, dict) and described and not set(described) & RANGE_KEYS
+        if inner and f"{root}{name}" in ("motion", "reference", "sensor", "tissue", "arm"):
+            yield from flattened(described, f"{root}{name}.")
+        elif inner and root:
+            yield from flattened(described, f"{root}{name}.")
+        else:
+            yield f"{root}{name}", described
+
+
+def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any]) -> SweepAxis:
+    key = f"sweep.axes.{name}"
+    target(name)
+    if isinstance(described, list):
+        return _listed(name, described, Range(), sets)
+    if not isinstance(described, dict):
+        raise InputError(
+            key, described, "a list or a range", "Write [1.0, 2.0], say; one value belongs under [params]."
+        )
+    known_keys(Range, described, key)
+    given = convert(described, Range, key)
+    if given.values is not None:
+        if given.linear or given.log or given.points or given.draw:
+            raise InputError(key, "values and a range", "one of the two", "Remove the range.")
+        return _listed(name, given.values, given, sets)
+    ranges: tuple[tuple[Scale, Ends | None], ...] = (("linear", given.linear), ("log", given.log))
+    spaced = [(scale, ends) for scale, ends in ranges if ends is not None]
+    if len(spaced) != 1:
+        raise InputError(key, "a range", "either linear or log", "Write { log = [0.01, 10.0], points = 20 }, say.")
+    if (given.points is None) == (kind == "grid"):
+        found = "missing" if kind == "grid" else given.points
+        wanted = "given for a grid" if kind == "grid" else "left out of a sample"
+        raise InputError(f"{key}.points", found, wanted, "A grid needs the number of points, a sample only rows.")
+    if given.draw is not None and kind != "grid":
+        raise InputError(f"{key}.draw", given.draw, "left out of a sample", "A sample draws every range.")
+    if choice_only(name):
+        raise InputError(key, "a range", "a list", "It has no values in between.")
+    scale, ends = spaced[0]
+    return make_axis(name, scale, ends, given.points, relative=given.relative, drawn=given.draw, seed=given.seed)
+
+
+def _listed(name: str, values: list[Any], given: Range, sets: Mapping[str, Any]) -> SweepAxis:
+    key = f"sweep.axes.{name}"
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    if numbers and not choice_only(name):
+        return make_axis(name, "list", tuple(map(float, values)), None, relative=given.relative)
+    if given.relative or (name in PARAMETERS and not all(isinstance(value, list) for value in values)):
+        wrong = next(each for each in values if isinstance(each, bool) or not isinstance(each, int | float))
+        raise InputError(key, wrong, "a number", f"Its unit is [{target(name).unit}].")
+    labels: tuple[str, ...] = ()
+    if name == "stiffness":
+        labels = tuple(value if isinstance(value, str) else str(value) for value in values)
+        values = [stiffness_set(value, sets, key) if isinstance(value, str) else value for value in values]
+        lengths = {len(value) if isinstance(value, list | tuple) else 1 for value in values}
+        if len(lengths) > 1:
+            raise InputError(key, f"{sorted(lengths)} tissues", "sets of one length", "A result has one shape.")
+        values = [value if isinstance(value, list | tuple) else [value] for value in values]
+    return make_axis(name, "choice", tuple(_frozen(value) for value in values), None, labels=labels)
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
+
+
+def _check_worlds(factor: Factor, data: Mapping[str, Any]) -> None:
+    """Refuse points of a factor that make no experiment with the base; of many points some, the ends among them."""
+    if not any(axis.of_world for axis in factor):
+        return
+    columns = {axis.name: axis.column() for axis in factor}
+    points = min(map(len, columns.values()))
+    for i in np.unique(np.linspace(0, points - 1, min(points, MOST_CHECKED)).astype(int)):
+        entries = tuple(float(columns[axis.name][i]) for axis in factor if axis.of_world)
+        try:
+            Experiment.from_dict(world_of(data, factor, entries))
+        except InputError as error:
+            axis = next((axis for axis in factor if error.key.startswith(axis.name)), factor[0])
+            value = axis.label(float(columns[axis.name][i]))
+            remedy = f"It makes {error.key} = {error.value}. {error.remedy}" if axis.relative else error.remedy
+            raise InputError(f"sweep.axes.{axis.name}", value, error.bound, remedy) from None
+
+
+def _check_bases(factors: list[Factor], params: Params, experiment: Experiment) -> None:
+    """Refuse axes that are relative to nothing, or an entry of a vector that is none."""
+    data = experiment.to_dict()
+    for axis in (axis for factor in factors for axis in factor):
+        base = read(axis.name, params, data)
+        numbers = base if isinstance(base, list | tuple) else [base]
+        if axis.relative and not all(isinstance(x, int | float) and not isinstance(x, bool) for x in numbers):
+            remedy = "Give the base a number there, or leave `relative` out."
+            raise InputError(f"sweep.axes.{axis.name}", base, "a number to multiply", remedy)

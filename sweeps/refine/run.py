@@ -1,0 +1,110 @@
+"""Run a refined sweep: stages in order, each a sweep in a folder of its own, so that each resumes and is shared.
+
+manifest.json       the spec of the whole, its hash
+stages/0-screen/    a sweep's folder each
+stages/1-full/ …
+result.json         the hash of each stage's result, once all are there
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import digest
+from sweeps import store
+from sweeps.plan import make_plan
+from sweeps.refine.proposal import around, survivors
+from sweeps.result import Result, merged
+from sweeps.run import run as run_plain
+from sweeps.spec import SweepSpec
+from sweeps.tables import RefineTable
+
+Told = Callable[[str], None]
+
+
+class Leg(NamedTuple):
+    """A stage that can be run, the earlier ones being there."""
+
+    name: str
+    spec: SweepSpec
+
+
+def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, **how: Any) -> Result:
+    """Run a refined sweep, or what is missing of it.
+
+    Args:
+        spec: What is swept and refined.
+        folder: Where its stages go: new, empty, or begun by the same spec.
+        told: Called with a line before each stage.
+        how: See `sweeps.run.run`.
+
+    Returns:
+        The rows of the last stage, `stages` being all of them; incomplete where somebody stopped it.
+
+    Raises:
+        InputError: The folder belongs to something else.
+        OSError: The folder cannot be written, or the disk is full.
+    """
+    assert spec.refine is not None
+    folder = Path(folder)
+    store.prepare_refined(folder, *described(spec))
+    done: list[tuple[str, Result]] = []
+    for leg in _legs(spec, spec.refine, done):
+        rows, experiment = len(leg.spec.space.rows()), leg.spec.experiment
+        told(f"{leg.name}: {rows} rows on {experiment.physics}, {rows * experiment.steps:.3g} steps a tissue")
+        result = run_plain(leg.spec, folder / "stages" / leg.name, **how)
+        done.append((leg.name, result))
+        if not result.complete:
+            return replace(result, stages=tuple(done))
+    store.write_summary(folder, {"stages": {name: result.hash for name, result in done}})
+    return Result.load(folder)
+
+
+def check(folder: Path, spec: SweepSpec) -> bool:
+    """Whether the folder already holds this very refined sweep; writes nothing.
+
+    Raises:
+        InputError: It holds something else.
+    """
+    return store.check_refined(folder, *described(spec))
+
+
+def described(spec: SweepSpec) -> tuple[dict[str, Any], str]:
+    """The whole as plain data, and its hash: here the ranking counts, since later stages follow from it."""
+    refine = msgspec.to_builtins(spec.refine)
+    canonical = {"sweep": make_plan(spec).canonical, "goal": msgspec.to_builtins(spec.goal), "refine": refine}
+    plain = msgspec.json.decode(msgspec.json.encode(canonical))
+    return plain, digest(plain)
+
+
+def _legs(spec: SweepSpec, refine: RefineTable, done: list[tuple[str, Result]]) -> Iterator[Leg]:
+    """Stages in order; what each of them is follows from those that are done."""
+    plain = replace(spec, refine=None)
+    wanted: tuple[int, ...] | None = None
+    if refine.method == "halving":
+        for i, stage in enumerate(refine.stages):
+            yield Leg(f"{i}-screen", _only(plain.on(stage.experiment), wanted))
+            wanted = survivors(done[-1][1], stage.keep)
+            if not wanted:
+                raise InputError("refine.stages", f"stage {i}", "survived by a row", "No row is OK: widen the axes.")
+    yield Leg(f"{len(done)}-full", _only(plain, wanted))
+    if refine.method == "pareto":
+        for number in range(1, refine.rounds + 1):
+            space = around(merged([result for _, result in done]), refine.goals, refine.points, refine.seed, number)
+            if space.count:
+                yield Leg(f"{len(done)}-around", replace(plain, space=space))
+    if refine.rerun is not None:
+        before = merged([result for name, result in done if not name.endswith("screen")])
+        best = before.best(refine.rerun.best)
+        if len(best):
+            again = plain.on(refine.rerun.experiment)
+            space = before.plan.space if refine.method == "pareto" else plain.space
+            yield Leg(f"{len(done)}-rerun", replace(again, space=space).only(tuple(best["row"].tolist())))
+
+
+def _only(spec: SweepSpec, rows: tuple[int, ...] | None) -> SweepSpec:
+    return spec if rows is None else spec.only(rows)

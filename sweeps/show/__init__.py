@@ -1,0 +1,1 @@
+"""What came out of a sweep, on the terminal and as files."""

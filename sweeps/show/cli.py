@@ -1,0 +1,131 @@
+"""`jaxmpc sweep best | pareto | row | sensitivity | report`: what came out of a sweep's folder."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxmpc.files.errors import InputError
+
+if TYPE_CHECKING:
+    from sweeps.result import Result
+
+VERBS = ("report", "best", "pareto", "row", "sensitivity")
+
+
+def show_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verbs."""
+    showing = parser.add_argument_group("showing what came out")
+    showing.add_argument("--csv", type=Path, help="also write the rows there (all of them, with report)")
+    showing.add_argument("--max-ms", type=float, help="largest accepted peak sensitivity M_s (default: the spec's)")
+    showing.add_argument("-n", type=int, help="rows to list (default 10)")
+    showing.add_argument("--goals", help="of pareto: metrics and margins, by commas (default rms,M_s)")
+    showing.add_argument("--params", type=Path, help="also write the first row's controller there, for tune and freeze")
+
+
+def show(verb: str, args: argparse.Namespace) -> int:
+    """Show what a folder holds.
+
+    Raises:
+        InputError: It is no sweep's, or there is no such row or goal.
+    """
+    limit, n = args.max_ms, 10 if args.n is None else args.n
+    if limit is not None and not limit >= 1.0:
+        raise InputError("--max-ms", limit, "at least 1", "No loop has a smaller peak sensitivity; 2 is usual.")
+    if n < 1:
+        raise InputError("-n", n, "at least 1", "Ask for one row or more.")
+    if args.goals is not None and verb != "pareto":
+        raise InputError("--goals", args.goals, "left out here", "It belongs to `jaxmpc sweep pareto`.")
+    from sweeps.result import Result
+
+    folder = Path(args.what[1])
+    result = Result.load(folder)
+    if not len(result):
+        raise InputError("sweep folder", folder, "begun", "It has no finished chunk yet.")
+    if not result.complete:
+        print(f"jaxmpc sweep: unfinished: {len(result)} of {len(result.plan.rows)} rows", file=sys.stderr)
+    if verb == "report":
+        return _report(result, folder, args, n)
+    from sweeps.show.tables import row_sheet, rows_table, sensitivity_table
+
+    if verb == "sensitivity":
+        print(sensitivity_table(result))
+        return 0 if args.params is None else _written(result.best(1, limit), args)
+    if verb == "row":
+        shown = result.take(_place(result, args.what[2]))
+        print(row_sheet(shown))
+    elif verb == "best":
+        shown = result.best(n, limit)
+        print(rows_table(shown, f"best of {len(result)} rows: {result.goal.text}"))
+    else:
+        goals = tuple(name.strip() for name in args.goals.split(",")) if args.goals else ("rms", "M_s")
+        shown = result.pareto(*goals)
+        print(rows_table(shown.take(slice(n) if args.n else slice(None)), f"Pareto front of {', '.join(goals)}", goals))
+    return _written(shown, args)
+
+
+def counts(result: "Result") -> str:
+    """How many runs ended how."""
+    found = ", ".join(f"{name} {count}" for name, count in result.status_counts().items() if count)
+    return f"status over rows × stiffness: {found}"
+
+
+def _place(result: "Result", text: str) -> "slice":
+    if not text.isdigit():
+        raise InputError("row", text, "the number of a row", "`jaxmpc sweep best DIR` lists some.")
+    place = result.place(int(text))
+    return slice(place, place + 1)
+
+
+def _written(shown: "Result", args: argparse.Namespace) -> int:
+    """Write what was asked for, of the rows that are shown."""
+    if args.csv:
+        shown.to_csv(args.csv)
+        print(f"written: {args.csv}")
+    if args.params:
+        if not len(shown):
+            raise InputError("--params", args.params, "written of a row", "No row is shown: raise --max-ms.")
+        write_params(shown, args.params)
+        print(f"written: {args.params}, the controller of row {shown['row'][0]}")
+    return 0
+
+
+def write_params(result: "Result", path: Path) -> None:
+    """Write the controller of the first row, with the world that it met as a comment.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    from jaxmpc.files.toml import write_toml
+
+    worlds = ", ".join(
+        f"{axis.name} {axis.label(float(result[axis.name][0]))}" for axis in result.axes if axis.of_world
+    )
+    note = f"Row {result['row'][0]} of a sweep, spec {result.plan.spec_hash}"
+    write_toml(path, {"params": result.controller(0).to_dict()}, note + (f"\nIt met {worlds}" if worlds else ""))
+
+
+def _report(result: "Result", folder: Path, args: argparse.Namespace, n: int) -> int:
+    from jaxmpc.files.toml import write_toml
+    from sweeps.report import heat_map, mapped_axes, pareto_figure, table
+
+    limit = 2.0 if args.max_ms is None else args.max_ms
+    out = args.out or folder / "report"
+    out.mkdir(parents=True, exist_ok=True)
+    written = [out / "pareto.png"]
+    pareto_figure(result, written[0], max_M_s=limit)
+    if mapped_axes(result):
+        written.append(out / "heat-map.png")
+        heat_map(result, written[-1], max_M_s=limit)
+    best = result.best(n, limit)
+    if len(best):
+        written.append(out / "best.toml")
+        note = f"Row {best['row'][0]} of a sweep, result {result.hash}"
+        write_toml(written[-1], {"params": best.controller(0).to_dict()}, note)
+    if args.csv:
+        result.to_csv(args.csv)
+        written.append(args.csv)
+    print(counts(result))
+    print(table(result, n, limit))
+    print(f"result {result.hash}\nwritten: {', '.join(map(str, written))}")
+    return 0

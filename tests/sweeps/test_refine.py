@@ -1,0 +1,103 @@
+"""Refined sweeps: fewer steps to the same best row, a front that moves on, the same rows every time."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sweeps
+from jaxmpc.files.errors import InputError
+from sweeps.refine.run import run as refine
+from sweeps.result import merged
+from sweeps.run import run
+from sweeps.spec import SweepSpec
+
+STAGE = {"keep": 12, "experiment": {"duration": 0.6, "settle": 0.3}}
+DATA: dict[str, Any] = {
+    "experiment": {
+        "published": "table-1",
+        "duration": 1.0,
+        "settle": 0.3,
+        "stiffness": [375.0, 1900.0],
+        "reference": {"z": -5.0},
+    },
+    "params": {"published": "cautious"},
+    "sweep": {
+        "kind": "random",
+        "rows": 100,
+        "constraints": {"M_s": 3.0},
+        "seed": 1,
+        "axes": {"lam": {"log": [0.01, 1.0]}, "T_cl": {"log": [0.001, 0.01]}, "Hu": [2, 5, 10]},
+    },
+}
+
+
+def made(**table: Any) -> SweepSpec:
+    return SweepSpec.from_dict({**DATA, "refine": table})
+
+
+@pytest.mark.oracle
+def test_halving_finds_the_best_row_and_resumes(tmp_path: Path) -> None:
+    spec = made(method="halving", stages=[STAGE])
+    half = refine(spec, tmp_path / "half")
+    full = run(replace(spec, refine=None), tmp_path / "full")
+    assert [name for name, _ in half.stages] == ["0-screen", "1-full"]
+    assert len(half) == 12
+    best = half.best(1)
+    assert best["row"].tolist() == full.best(1)["row"].tolist() != []
+    # A survivor has the bits that it has in the full sweep.
+    places = np.searchsorted(full["row"], half["row"])
+    for name in half.columns:
+        np.testing.assert_array_equal(half[name], full[name][places], err_msg=name)
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "half").rglob("*.npz")}
+    chunk = sorted(before)[0]
+    chunk.unlink()
+    again = refine(spec, tmp_path / "half")
+    assert again.hash == half.hash
+    assert {path: path.stat().st_mtime_ns for path in before if path != chunk} == {
+        path: when for path, when in before.items() if path != chunk
+    }
+    assert sweeps.load(tmp_path / "half").hash == half.hash
+    with pytest.raises(InputError, match=r"refine\.stages\[0\]\.keep: there 12, here 13"):
+        refine(made(method="halving", stages=[{**STAGE, "keep": 13}]), tmp_path / "half")
+
+
+@pytest.mark.oracle
+def test_rows_around_the_front_move_it_and_are_the_same_every_time(tmp_path: Path) -> None:
+    spec = made(method="pareto", rounds=2, points=40, seed=5, rerun={"best": 3, "experiment": {"damping": "sampled"}})
+    found = refine(spec, tmp_path / "one")
+    assert [name for name, _ in found.stages] == ["0-full", "1-around", "2-around", "3-rerun"]
+    rounds = [result for _, result in found.stages[:3]]
+    together = merged(rounds)
+    assert len(together) == sum(map(len, rounds))
+    assert together["row"].tolist() == list(range(len(together)))
+    first, all_rows = rounds[0].best(1).worst_rms[0], together.best(1).worst_rms[0]
+    assert all_rows < first
+    # A row of the merged sweep is the controller that was run.
+    place = len(rounds[0]) + 3
+    assert together.controller(place).to_dict() == rounds[1].controller(3).to_dict()
+    assert (together["Hu"] <= 47).all()
+    # The best three once more, on the loop whose damping is sampled.
+    rerun = found.stages[-1][1]
+    assert sorted(rerun["lam"].tolist()) == sorted(together.best(3)["lam"].tolist())
+    other = refine(spec, tmp_path / "other")
+    assert [result.hash for _, result in other.stages] == [result.hash for _, result in found.stages]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"method": "halving"}, ["refine.stages", "one stage or more"]),
+        ({"method": "pareto", "stages": [STAGE]}, ["refine.stages", 'method = "halving"']),
+        ({"method": "pareto", "goals": ["rms", "Ms"]}, ["refine.goals", "Did you mean 'M_s'"]),
+        ({"method": "halving", "stages": [{"keep": 5}, {"keep": 6}]}, ["ever fewer rows"]),
+        ({"method": "halving", "stages": [{"keep": 5, "experiment": {"duration": 0.1}}]}, ["settle"]),
+        ({}, ["refine.method"]),
+    ],
+)
+def test_wrong_tables_are_refused(table: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(InputError) as caught:
+        made(**table)
+    assert [word for word in words if word not in str(caught.value)] == []
