@@ -26,7 +26,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "       jaxmpc sweep report DIR [-o FOLDER] [--csv FILE] [--max-ms M] [-n N]"
     )
     parser.add_argument("what", nargs="+", metavar="SPEC.toml | report DIR", help="the sweep to run, or to report on")
-    parser.add_argument("-o", type=Path, dest="out", help="results (default runs/SPEC) or figures (default DIR/report)")
+    parser.add_argument(
+        "-o", type=Path, dest="out", help="results (default runs/SPEC) or the report (default DIR/report)"
+    )
     running = parser.add_argument_group("running a sweep")
     running.add_argument("--dry-run", action="store_const", const=True, help="say what it would take; write nothing")
     running.add_argument("--chunk", type=int, help="rows of a chunk file; the result does not depend on it")
@@ -120,7 +122,7 @@ def _counts(result: "Result") -> str:
 
 def _report(args: argparse.Namespace) -> int:
     from jaxmpc.files.toml import write_toml
-    from sweeps.report import heat_map, mapped_axes, pareto_figure, table
+    from sweeps.report import sweep_report, table
     from sweeps.result import Result
 
     folder = Path(args.what[1])
@@ -137,11 +139,9 @@ def _report(args: argparse.Namespace) -> int:
         print(f"jaxmpc sweep: unfinished: {len(result)} of {len(result.plan.rows)} rows", file=sys.stderr)
     out = args.out or folder / "report"
     out.mkdir(parents=True, exist_ok=True)
-    written = [out / "pareto.png"]
-    pareto_figure(result, written[0], max_M_s=limit)
-    if mapped_axes(result):
-        written.append(out / "heat-map.png")
-        heat_map(result, written[-1], max_M_s=limit)
+    written = [out / "report.html"]
+    print("computing the curves of the rows that matter …", file=sys.stderr, flush=True)
+    sweep_report(result, written[0], limit)
     best = result.best(n, limit)
     if len(best):
         written.append(out / "best.toml")

@@ -60,7 +60,8 @@ def page(report: Report) -> str:
         '<meta name="color-scheme" content="light dark">'
         f"<title>{escape(report.title)}</title><style>{style}</style></head>\n<body>\n"
         + "\n".join(body)
-        + f'\n<script type="application/octet-stream" id="data">{data}</script>\n<script>{script}</script>\n</body></html>\n'
+        + f'\n<script type="application/octet-stream" id="data">{data}</script>'
+        + f"\n<script>{script}</script>\n</body></html>\n"
     )
 
 

@@ -81,7 +81,7 @@ def report(count: int, seed: int = 0) -> Report:
             "Nyquist", "Re L", "Im L", [Series("A", loop.real, loop.imag)], [Mark("-1", -1.0, 0.0)],
             x_range=(-3.0, 1.0), y_range=(-2.0, 2.0), square=True,
         ),
-        Chart("bars", "", "mN", [Series(n, [], [3.0, 4.0], k, "bars") for k, n in enumerate("ab")], categories=["x", "y"]),
+        Chart("bars", "", "mN", [Series(n, [], [3.0, 4.0], k, "bars") for k, n in enumerate("ab")], categories="xy"),
     ]  # fmt: skip
     section = Section(f"Loops {FOREIGN}", [FOREIGN], [Table(["a", FOREIGN], [[FOREIGN, "1"]], FOREIGN)], charts)
     return Report(f"Sweep {FOREIGN}", [f"Made up of {count} rows."], candidates(count, seed), [section])

@@ -15,10 +15,10 @@ import pytest
 from jaxmpc import Params
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import METRICS
+from jaxmpc.report.loops import Curves
 from jaxmpc.stability import Margins
 from tuning import TuneResult, TuneSpec, report
 from tuning.proof.limits import Active, LimitStudy, active_margins
-from tuning.proof.loops import Curves
 from tuning.proof.reached import STUDY, Row, rows, verdict
 from tuning.proof.sensitivities import Sensitivities
 from tuning.proof.split import Split

@@ -20,7 +20,7 @@ from deploy.safety.reasons import Reason
 from jaxmpc.cli.demo import SECONDS, SETTLE
 from sweeps.result import Result
 
-PICTURES = ("sweep-heat-map.png", "sweep-pareto.png", "tuning-history.png", "flight.png")
+PICTURES = ("tuning-history.png", "flight.png")
 pytestmark = pytest.mark.slow
 
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmpc.experiment import AXES
+from jaxmpc.report.loops import Curves, curves
 from tuning.proof.gradients import SCORE
 from tuning.proof.limits import RELAXED, LimitStudy, limits
-from tuning.proof.loops import Curves, curves
 from tuning.proof.result import TuneResult
 from tuning.proof.sensitivities import Sensitivities, sensitivities
 from tuning.proof.split import CAUSES, Split, split

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxmpc.pictures.figures import ACCENT, figure
-from tuning.proof.loops import Curves
+from jaxmpc.report.loops import Curves
 from tuning.proof.result import TuneResult
 from tuning.reports.figures import BOTH, logarithmic
 

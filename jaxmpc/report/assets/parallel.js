@@ -2,6 +2,7 @@
 // over pairs of heights on neighbouring axes, so that its cost does not grow with the rows.
 
 const LEVELS = 256, NOWHERE = 250, HIGHEST = 239; // heights of a picture; where ∞ and – lie; the last of the values
+const FAR = 3; // times the worst of the rows that keep the limits, where an axis ends
 const FEW = 1500; // rows that are drawn one by one
 const TOP = 46, HEIGHT = 300, BOTTOM = 24, SIDE = 56, NARROW = 84; // [px]
 
@@ -37,7 +38,7 @@ function parallelView(state, box) {
   box.append(
     element("div", { className: "bar" }, tintChoice, picks, told),
     stage,
-    element("p", { className: "note" }, "Drag along an axis to brush, double-click it to let go; its name switches between linear and log. By keys: Tab to an axis, ↑ ↓ move a brush, Shift+↑ ↓ change its height, Delete lets go. Rows below the axes have no finite value; grey rows break a limit."),
+    element("p", { className: "note" }, "Drag along an axis to brush, double-click it to let go; its name switches between linear and log. By keys: Tab to an axis, ↑ ↓ move a brush, Shift+↑ ↓ change its height, Delete lets go. Rows below the axes have no finite value, those that are far worse than all that keep the limits lie at the end; grey rows break a limit."),
   );
 
   const place = (axisAt, value) => {
@@ -63,8 +64,24 @@ function parallelView(state, box) {
     }
     one.log = one.log && positive < high;
     Object.assign(one, low <= high ? { low: one.log ? positive : low, high } : { low: 0, high: 1 });
+    Object.assign(one, { least: low, most: high });
+    // What is far worse than every row that keeps the limits lies at the end of the axis, or it would squeeze the rest.
+    const ends = endsOfKept(values);
+    if (one.each.sense === "ceiling") one.high = Math.min(one.high, FAR * ends[1]);
+    if (one.each.sense === "floor" && one.low > 0) one.low = Math.max(one.low, ends[0] / FAR);
     one.levels = new Uint8Array(values.length);
     for (let i = 0; i < values.length; i++) one.levels[i] = place(one, values[i]);
+  }
+
+  // Least and largest value of the rows that keep the limits; all there is where none does.
+  function endsOfKept(values) {
+    let low = Infinity, high = -Infinity;
+    for (let i = 0; i < values.length; i++) {
+      if (!state.feasible[i] || !Number.isFinite(values[i])) continue;
+      low = Math.min(low, values[i]);
+      high = Math.max(high, values[i]);
+    }
+    return high > 0 ? [low, high] : [-Infinity, Infinity];
   }
 
   function colour() {
@@ -140,7 +157,7 @@ function parallelView(state, box) {
     const [top, bottom] = from < to ? [from, to] : [to, from];
     // A brush at the very end of an axis means all beyond it: rounding must not lose the last row.
     const slack = 1e-9 * (Math.abs(one.low) + Math.abs(one.high));
-    const low = bottom >= HIGHEST ? one.low - slack : valueAt(one, bottom), high = top <= 0 ? one.high + slack : valueAt(one, top);
+    const low = bottom >= HIGHEST ? one.least - slack : valueAt(one, bottom), high = top <= 0 ? one.most + slack : valueAt(one, top);
     state.setRange(one.each.name, [low, high]);
     speak(rail, one);
     told.textContent = `drawn in ${Math.round(performance.now() - began)} ms`;
@@ -366,7 +383,7 @@ function parallelView(state, box) {
     const decades = Math.log10(one.high / one.low), found = [one.low];
     const every = Math.max(1, Math.ceil(decades / 6));
     for (let d = Math.ceil(Math.log10(one.low) + 0.15); d <= Math.log10(one.high) - 0.15; d += every) found.push(Math.pow(10, d));
-    if (found.length < 3 && decades >= 0.6) found.push(Math.sqrt(one.low * one.high));
+    if (found.length < 2 && decades >= 0.3) found.push(Math.sqrt(one.low * one.high));
     return [...found, one.high];
   }
 
@@ -377,7 +394,7 @@ function parallelView(state, box) {
 
   state.on(["filter"], draw);
   state.on(["chosen"], overlay);
-  state.on(["tissue"], () => {
+  state.on(["feasible"], () => {
     axes.forEach(measureAxis);
     colour();
     paint(canvases[0], null, true);

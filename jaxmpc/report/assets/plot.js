@@ -84,9 +84,10 @@ function base(option) {
   };
 }
 
+// `log` may be how often the least value goes into the largest: few decades want powers of two.
 function axis(colors, label, log, more = {}) {
   return {
-    type: log ? "log" : "value", name: label, nameLocation: "middle", scale: true,
+    type: log ? "log" : "value", logBase: log > 0 && log < 100 ? 2 : 10, name: label, nameLocation: "middle", scale: true,
     nameTextStyle: { color: colors.soft, fontSize: 12 },
     axisLine: { show: true, lineStyle: { color: colors.line } }, axisTick: { show: false },
     axisLabel: { color: colors.soft, fontSize: 11, formatter: short, hideOverlap: true },
@@ -130,20 +131,25 @@ function curveOption(chart, colors) {
       labelLayout: { hideOverlap: true },
     });
   }
+  const span = (log, range, name) => {
+    if (!log) return false;
+    const values = range || chart.series.flatMap((each) => each[name]).filter((value) => value > 0);
+    return values.reduce((a, b) => Math.max(a, b), 0) / values.reduce((a, b) => Math.min(a, b), Infinity) || true;
+  };
   const ends = (range) => (range ? { min: range[0], max: range[1] } : {});
   const named = chart.series.filter((each) => each.name);
   return {
     title: { text: chart.title, left: 8, top: 4, textStyle: { fontSize: 13, fontWeight: 600, color: colors.text } },
     grid: { left: 62, right: 18, top: named.length ? 58 : 36, bottom: 44 },
-    legend: { show: named.length > 0, top: 26, left: 8, type: "plain", itemHeight: 8, itemWidth: 18,
+    legend: { show: named.length > 0, top: 26, left: 8, type: "scroll", right: 8, pageIconSize: 9, itemHeight: 8, itemWidth: 18,
       textStyle: { color: colors.soft, fontSize: 11 }, data: named.map((each) => each.name) },
     tooltip: { trigger: bars || !chart.square ? "axis" : "item", valueFormatter: (value) => (value === null ? "–" : short(value)) },
     xAxis: bars
       ? { type: "category", data: chart.categories, name: chart.x, nameLocation: "middle", nameGap: 28,
           nameTextStyle: { color: colors.soft }, axisLabel: { color: colors.soft, fontSize: 11, interval: 0, hideOverlap: true },
           axisLine: { lineStyle: { color: colors.line } } }
-      : axis(colors, chart.x, chart.xLog, { nameGap: 26, ...ends(chart.xRange) }),
-    yAxis: axis(colors, chart.y, chart.yLog, { nameGap: 46, scale: !bars, ...ends(chart.yRange) }),
+      : axis(colors, chart.x, span(chart.xLog, chart.xRange, "x"), { nameGap: 26, ...ends(chart.xRange) }),
+    yAxis: axis(colors, chart.y, span(chart.yLog, chart.yRange, "y"), { nameGap: 46, scale: !bars, ...ends(chart.yRange) }),
     dataZoom: [{ type: "inside", zoomOnMouseWheel: "ctrl", moveOnMouseWheel: false, filterMode: "none" }],
     series,
   };

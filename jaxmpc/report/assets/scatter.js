@@ -81,8 +81,8 @@ function scatterView(state, box) {
     return {
       grid: { left: 64, right: 20, top: 16, bottom: 46 },
       tooltip: { show: false },
-      xAxis: axis(colors, heading(across), logs[0], { nameGap: 28 }),
-      yAxis: axis(colors, heading(up), logs[1], { nameGap: 48 }),
+      xAxis: axis(colors, heading(across), logs[0] && frame[0][1] / frame[0][0], { nameGap: 28 }),
+      yAxis: axis(colors, heading(up), logs[1] && frame[1][1] / frame[1][0], { nameGap: 48 }),
       dataZoom: [{ type: "inside", zoomOnMouseWheel: "ctrl", moveOnMouseWheel: false, filterMode: "none" }],
       series: [
         cloud("breaks a limit", broken, colors.dead, many ? "circle" : "path://M0,0L8,8M8,0L0,8", many ? {} : { itemStyle: { color: "none", borderColor: colors.dead, borderWidth: 1 } }),

@@ -133,7 +133,11 @@ function tableView(state, box) {
     show();
   });
   state.on(["filter"], renew);
-  state.on(["chosen"], show);
+  state.on(["chosen"], () => {
+    const at = order.indexOf(state.chosen) * LINE;
+    if (at >= 0 && (at < sight.scrollTop || at > sight.scrollTop + (SIGHT - 1) * LINE)) sight.scrollTop = at - 4 * LINE;
+    show();
+  });
   arrange();
   show();
   return () => titles.forEach(({ filter }) => {
