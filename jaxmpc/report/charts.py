@@ -50,7 +50,7 @@ def loop_charts(title: str, loops: Sequence[Loop], limit: float | None = None) -
         ]
 
     sensitivity = [each.curves.sensitivity[each.tissue] for each in loops]
-    phases = [np.rad2deg(np.unwrap(np.angle(loop))) for loop in open_loops]
+    phases = [_phase(loop) for loop in open_loops]
     circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 91))
     nyquist = over([loop.imag for loop in open_loops], [loop.real for loop in open_loops])
     if limit is not None:
@@ -62,13 +62,21 @@ def loop_charts(title: str, loops: Sequence[Loop], limit: float | None = None) -
     f_hz = "frequency [Hz]"
     ceiling = [Mark(f"M_s ≤ {limit:g}", y=limit)] if limit is not None else []
     levels: dict[str, Any] = {"y_log": True, "y_range": (1e-3, 10.0)}
+    gains: dict[str, Any] = {"y_log": True, "y_range": (1e-3, 1e4)}
     return [
         Chart(f"{title}: sensitivity", f_hz, "|S| [-]", over(sensitivity), ceiling, x_log=True, **levels),
         Chart(f"{title}: Nyquist", "Re L", "Im L", nyquist, marks, x_range=WINDOW[0], y_range=WINDOW[1], square=True),
-        Chart(f"{title}: |L|", f_hz, "|L| [-]", over([np.abs(loop) for loop in open_loops]), x_log=True, y_log=True),
+        Chart(f"{title}: |L|", f_hz, "|L| [-]", over([np.abs(loop) for loop in open_loops]), x_log=True, **gains),
         Chart(f"{title}: phase of L", f_hz, "arg L [°]", over(phases), [Mark("−180°", y=-180.0)], x_log=True),
         _step(title, loops, names),
     ]
+
+
+def _phase(loop: np.ndarray) -> np.ndarray:
+    """Unwrapped, beginning in (−360°, 0°]."""
+    phase = np.rad2deg(np.unwrap(np.angle(loop)))
+    turned: np.ndarray = phase - 360.0 * np.ceil(phase[0] / 360.0)
+    return turned
 
 
 def _marked(frequency: np.ndarray, loop: np.ndarray) -> list[Mark]:

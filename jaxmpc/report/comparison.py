@@ -1,4 +1,4 @@
-"""Controllers side by side on one experiment: what each leaves, how they differ over drawn motions, how their loops look."""
+"""Controllers side by side on one experiment: what each leaves, how they differ over drawn motions, how loops look."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -133,7 +133,7 @@ def known_margins(params: Params, stiffness: Sequence[float], path: Any) -> Marg
     _, band = judged_where(params.listening)
     found = family_margins(params, stiffness, band, path)
     worst = {name: row.worst(np.asarray(getattr(found, name)), axis=-1) for name, row in MARGINS.items()}
-    return Margins(**worst, status=np.max(np.asarray(found.status), axis=-1))
+    return Margins(**worst, status=found.status.max(axis=-1))
 
 
 def difference(first: np.ndarray, other: np.ndarray) -> Difference:
@@ -181,13 +181,16 @@ def report_of(found: Comparison) -> Report:
         ),
         Section(
             "Loops",
-            ["L is cut where its sensitivity peaks higher. A family knows the tissue. The step is that of the linear loop."],
+            [
+                "L is cut where its sensitivity peaks higher. A family knows the tissue. "
+                "The step is that of the linear loop."
+            ],
             (),
             _loop_charts(found),
         ),
         Section("Margins over stiffness", _known_words(found), (), _margin_charts(found)),
     ]
-    return Report(" against ".join(one.name for one in contenders), lead, _rows(found), sections, 1)
+    return Report(" against ".join(one.name for one in contenders), lead, _rows(found), sections, len(sections))
 
 
 def _run(contenders: Sequence[Contender], experiment: Experiment, *, traced: bool) -> list[Outcome]:
@@ -260,7 +263,9 @@ def _rows(found: Comparison) -> Candidates:
     import tomli_w
 
     contenders = found.contenders
-    numbers = {name: np.array([np.mean(np.asarray(getattr(one.params, name))) for one in contenders]) for name in PARAMETERS}
+    numbers = {
+        name: np.array([np.mean(np.asarray(getattr(one.params, name))) for one in contenders]) for name in PARAMETERS
+    }
     measures = [measure(row, numbers[name]) for name, row in PARAMETERS.items()]
     for name, metric in METRICS.items():
         values = np.stack([np.asarray(getattr(one.metrics, name)) for one in found.outcomes])
@@ -325,19 +330,23 @@ def _margin_charts(found: Comparison) -> list[Chart]:
     path = found.experiment.loop_path()
     named: list[tuple[str, Any]] = []
     for one in found.contenders:
-        # Beyond its outer knots a family believes one of them.
-        inside = grid if one.params.listening is None else np.clip(grid, *_ends(one.params))
-        known = known_margins(one.params, inside.tolist(), path)
-        named.append((one.name, margins(one.params, grid, path=path) if known is None else known))
+        named.append((one.name, _over(one.params, grid, path)))
     return margin_charts(grid, named, {"M_s": HIGHEST_M_S})
 
 
-def _ends(params: Params) -> tuple[float, float]:
-    assert params.listening is not None
-    return params.listening.stiffness[0], params.listening.stiffness[-1]
+def _over(params: Params, grid: np.ndarray, path: Any) -> Margins:
+    """Margins over stiffness; those of a family with the stiffness known, between its outer knots."""
+    if params.listening is None:
+        return margins(params, grid, path=path)
+    knots = params.listening.stiffness
+    found = known_margins(params, np.clip(grid, knots[0], knots[-1]).tolist(), path)
+    assert found is not None
+    inside = (grid >= knots[0]) & (grid <= knots[-1])
+    held: Margins = jax.tree.map(lambda field: np.where(inside, field, np.nan), found)
+    return held
 
 
 def _known_words(found: Comparison) -> list[str]:
     if all(each is None for each in found.known):
         return []
-    return ["Of a family: with the stiffness known, the worst over its band; beyond its outer knots that of the knot."]
+    return ["Of a family: with the stiffness known, the worst over its band, between its outer knots."]

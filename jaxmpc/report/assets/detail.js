@@ -19,7 +19,7 @@ function tomlOf(state, row) {
 
 function detailView(state, box) {
   const { rows } = state;
-  const body = element("div");
+  const body = element("div"), charted = Object.keys(rows.details).map(Number).filter((k) => rows.details[k].charts.length);
   box.append(body);
 
   function cells(head, lines) {
@@ -33,10 +33,9 @@ function detailView(state, box) {
   function show() {
     const i = state.chosen;
     discard(body);
-    const known = Object.keys(rows.details).map(Number);
-    const jump = () => element("div", { className: "front" }, ...known.slice(0, 40).map((k) => element("button", { textContent: rows.names[k], onclick: () => state.choose(k) })));
+    const jump = () => element("div", { className: "front" }, ...charted.slice(0, 40).map((k) => element("button", { textContent: rows.names[k], onclick: () => state.choose(k) })));
     if (i < 0) {
-      body.append(element("p", { className: "note" }, "Choose a row: a click in the table, on the front or in a map." + (known.length ? ` With charts: ${rows.note}` : "")), jump());
+      body.append(element("p", { className: "note" }, "Choose a row: a click in the table, on the front or in a map." + (charted.length ? ` With charts: ${rows.note}` : "")), jump());
       return;
     }
     const broken = [...state.limits].filter(([name, limit]) => {
@@ -81,7 +80,7 @@ function detailView(state, box) {
         grid.append(picture);
         curveChart(picture, chart);
       }
-    } else if (known.length) {
+    } else if (charted.length) {
       body.append(element("p", { className: "note" }, `No charts are kept of this row. They are of: ${rows.note}`), jump());
     }
   }

@@ -1,6 +1,6 @@
 // Maps over parameters and tissues: the best of each cell, and which share of it is stable; importance.
 
-const MOST_CELLS = 24;
+const MOST_CELLS = 24, LEAST_ROWS = 8; // fewer rows make no map
 
 // Cells of a parameter: its values where they are few, else stretches of its range.
 function cellsOf(each) {
@@ -39,7 +39,7 @@ function mapOption(colors, across, up, data, scale, xName, yName, format) {
 
 function heatView(state, box) {
   const parameters = state.rows.measures.filter((each) => each.role === "parameter" && each.log !== undefined && varies(each));
-  if (parameters.length < 2) return false;
+  if (parameters.length < 2 || state.count < LEAST_ROWS) return false;
   const results = state.rows.measures.filter((each) => each.role === "metric" || each.role === "margin");
   const weight = (each) => (state.rows.influence[state.goals[0]] || [])[state.rows.measures.filter((one) => one.role === "parameter").indexOf(each)]?.[0] || 0;
   const first = [...parameters].sort((a, b) => weight(b) - weight(a));
@@ -90,7 +90,7 @@ const varies = (each) => each.columns[0].some((value) => value !== each.columns[
 
 function stabilityView(state, box) {
   const { rows } = state, parameters = rows.measures.filter((each) => each.role === "parameter" && varies(each));
-  if (!parameters.length) return false;
+  if (!parameters.length || state.count < LEAST_ROWS) return false;
   let name = parameters[0].name;
   const picture = element("div", { className: "chart tall", role: "img" });
   box.append(

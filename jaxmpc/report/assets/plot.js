@@ -101,7 +101,7 @@ function curveOption(chart, colors) {
   const series = chart.series.map((each) => {
     const color = colors.series[each.color % colors.series.length];
     const logged = (value, log) => (log && !(value > 0) ? null : value);
-    const data = bars ? each.y : each.x.map((x, i) => [logged(x, chart.xLog), logged(each.y[i], chart.yLog)]);
+    const data = each.style === "bars" ? each.y : each.x.map((x, i) => [logged(x, chart.xLog), logged(each.y[i], chart.yLog)]);
     if (each.style === "bars") return { type: "bar", name: each.name, data, itemStyle: { color } };
     if (each.style === "dots") return { type: "scatter", name: each.name, data, symbolSize: 6, itemStyle: { color } };
     return {

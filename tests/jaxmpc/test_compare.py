@@ -1,0 +1,116 @@
+"""`jaxmpc compare`: what it takes, what it finds, what it refuses."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from jaxmpc.cli import main
+from jaxmpc.cli.compare import contender_from, named
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.toml import write_toml
+from jaxmpc.report.charts import thinned
+from jaxmpc.report.comparison import difference
+from jaxmpc.synthesis.params import Params
+
+SHORT = """\
+name = "short"
+duration = 1.2
+settle = 0.4
+stiffness = [810.0]
+[motion]
+kind = "harmonics"
+[sensor]
+noise = 0.01
+"""
+
+
+@pytest.fixture
+def tuned(tmp_path: Path) -> Path:
+    folder = tmp_path / "first"
+    folder.mkdir()
+    write_toml(folder / "params.toml", {"params": Params.published("cautious").to_dict()})
+    return folder
+
+
+def test_the_interval_is_students() -> None:
+    random = np.random.default_rng(0)
+    first = random.normal(1.0, 0.1, 12)
+    other = first + random.normal(0.05, 0.02, 12)
+    found = difference(first, other)
+    interval = stats.ttest_rel(other, first).confidence_interval(0.95)
+    assert (found.mean - found.half_width, found.mean + found.half_width) == pytest.approx(tuple(interval))
+    assert found.told
+    assert not difference(first, first + np.resize([0.1, -0.1], 12)).told
+
+
+def test_a_motion_that_one_lost_is_no_pair() -> None:
+    first, other = np.array([1.0, np.nan, 2.0, 3.0]), np.array([1.5, 9.0, 2.5, np.nan])
+    assert difference(first, other).mean == 0.5
+    assert np.isnan(difference(first[:1], other[:1]).half_width)
+    assert np.isnan(difference(first[1:2], other[1:2]).mean)
+
+
+def test_a_thinned_curve_keeps_its_peaks() -> None:
+    time = np.arange(25_000) * 1e-3
+    force = np.sin(time)
+    force[12_345], force[777] = 5.0, -4.0
+    x, y = thinned(time, force)
+    assert len(y) <= 700
+    assert (y.max(), y.min()) == (5.0, -4.0)
+    assert (np.diff(x) >= 0.0).all()
+    assert thinned(time[:5], force[:5])[1] is not None
+
+
+def test_controllers_come_from_everywhere(tuned: Path) -> None:
+    assert contender_from("text").params.to_dict() == Params.published("text").to_dict()
+    folder, file = contender_from(str(tuned)), contender_from(f"mine={tuned / 'params.toml'}")
+    assert (folder.name, file.name) == ("first", "mine")
+    assert folder.params.to_dict() == file.params.to_dict() == Params.published("cautious").to_dict()
+    assert [one.name for one in named([file, folder, file])] == ["mine (1)", "first", "mine (3)"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["txt"], "Did you mean 'text'"),
+        (["text", "nowhere.toml"], "nowhere.toml"),
+        (["text", "--experiment", "table"], "table-1"),
+        (["text", "--seeds", "-1"], "--seeds = -1"),
+        (["text", "-o", "report.pdf"], "a file ending in .html"),
+        (["text"] * 9, "at most 8"),
+    ],
+)
+def test_wrong_arguments(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", *arguments]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_without_a_result_and_a_file_that_is_no_controller(tmp_path: Path) -> None:
+    (tmp_path / "false.npz").write_bytes(b"nothing")
+    for path, bound in ((tmp_path, "one with a params.toml"), (tmp_path / "false.npz", "a frozen controller")):
+        with pytest.raises(InputError, match=bound):
+            contender_from(str(path))
+
+
+def test_a_comparison(
+    tuned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=1")
+    (tmp_path / "short.toml").write_text(SHORT)
+    report = tmp_path / "out" / "compare.html"
+    arguments = ["text", str(tuned), "--experiment", str(tmp_path / "short.toml"), "--seeds", "3", "-o", str(report)]
+    assert main(["compare", *arguments]) == 0
+    said = capsys.readouterr().out
+    lines = [line for line in said.splitlines() if line.strip().startswith("RMS [mN]")]
+    assert len(lines) == 3
+    # Of 97 and 30 mN on Table I the difference is many times its interval.
+    assert all("±" in line and line.rstrip().endswith("*") for line in lines)
+    page = report.read_text(encoding="utf-8")
+    assert page.count('class="chart"') == 3 + 5 + 6
+    assert "first − text" in page
