@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from jaxmpc.experiment import AXES, Experiment
+from jaxmpc.files.toml import toml_text
 from jaxmpc.quantities import HIGHEST_M_S, MARGINS, METRICS, PARAMETERS
 from jaxmpc.report.content import Candidates, Chart, Detail, Measure, Report, Section, Series, Swept, Table, measure
 from jaxmpc.report.influence import influence
 from jaxmpc.report.page import write_report
+from jaxmpc.report.thinning import thinned
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps.result import Result
@@ -98,9 +100,7 @@ def template(base: Params, swept: Sequence[str], origin: str) -> list[str | Swep
         swept: Names of parameters.
         origin: Hash of the result.
     """
-    import tomli_w
-
-    text = tomli_w.dumps({"params": base.to_dict() | {name: f"<{name}>" for name in swept}})
+    text = toml_text({"params": base.to_dict() | {name: f"<{name}>" for name in swept}})
     pieces = re.split(r'"<(\w+)>"', text)
     head = f" of a sweep, result {origin}\n# Freeze it: jaxmpc freeze params.toml -o controller.npz\n"
     return ["# ", Swept("row"), head, *(Swept(piece) if k % 2 else piece for k, piece in enumerate(pieces))]
@@ -114,7 +114,7 @@ def details(result: Result, places: Sequence[int]) -> dict[int, Detail]:
         places: Of the rows.
     """
     from jaxmpc import evaluate
-    from jaxmpc.report.charts import Loop, loop_charts, thinned
+    from jaxmpc.report.charts import LoopCurve, loop_charts
     from jaxmpc.report.loops import curves
 
     experiment = Experiment.from_dict(_experiment(result))
@@ -129,7 +129,7 @@ def details(result: Result, places: Sequence[int]) -> dict[int, Detail]:
     for k, (place, params) in enumerate(zip(places, controllers, strict=True)):
         curve = curves(params, experiment, experiment.loop_path().ideal)
         stable = result["status"][place] != Status.UNSTABLE
-        loops = [Loop(f"{K_s:g} N/m", curve, i, i, bool(stable[i])) for i, K_s in enumerate(experiment.stiffness)]
+        loops = [LoopCurve(f"{K_s:g} N/m", curve, i, i, bool(stable[i])) for i, K_s in enumerate(experiment.stiffness)]
         charts = [
             Chart(
                 f"residual force, {axis.upper()}",

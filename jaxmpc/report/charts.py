@@ -8,9 +8,8 @@ import numpy as np
 from jaxmpc.quantities import AXES, MARGINS
 from jaxmpc.report.content import Chart, Mark, Series
 from jaxmpc.report.loops import Curves
+from jaxmpc.report.thinning import thinned
 
-POINTS = 700
-"""Points of a force over time; of each stretch the least and the largest sample stay."""
 MARKED_HZ = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 """Frequencies that are marked on a Nyquist curve [Hz]."""
 WINDOW = ((-3.0, 1.0), (-2.0, 2.0))
@@ -19,7 +18,7 @@ SETTLED = 0.05
 """Share of a step within which it counts as settled."""
 
 
-class Loop(NamedTuple):
+class LoopCurve(NamedTuple):
     """One curve of the charts of loops: a controller on a tissue."""
 
     name: str
@@ -30,7 +29,7 @@ class Loop(NamedTuple):
     stable: bool = True
 
 
-def loop_charts(title: str, loops: Sequence[Loop], limit: float | None = None) -> list[Chart]:
+def loop_charts(title: str, loops: Sequence[LoopCurve], limit: float | None = None) -> list[Chart]:
     """|S|, Nyquist, Bode magnitude and phase, and the step of some loops.
 
     Args:
@@ -96,7 +95,7 @@ def _apart(mark: Mark, others: Sequence[Mark]) -> bool:
     return all(abs(mark.x - (other.x or 0.0)) > 0.5 or abs(mark.y - (other.y or 0.0)) > 0.15 for other in others)
 
 
-def _step(title: str, loops: Sequence[Loop], names: Sequence[str]) -> Chart:
+def _step(title: str, loops: Sequence[LoopCurve], names: Sequence[str]) -> Chart:
     """Force of the linear loop after a step of its reference, until all have settled and a little longer."""
     series, ends = [], [0.02]
     for each, name in zip(loops, names, strict=True):
@@ -157,21 +156,3 @@ def force_charts(
         for i, K_s in enumerate(stiffness)
         for a, axis in enumerate(AXES)
     ]
-
-
-def thinned(x: np.ndarray, y: np.ndarray, points: int = POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """A curve with fewer points: the least and the largest of each stretch, so that no peak is lost.
-
-    Args:
-        x: Ascending, (samples,).
-        y: (samples,).
-        points: How many are left, about.
-    """
-    if len(y) <= points:
-        return x, y
-    stretch = -(-2 * len(y) // points)
-    count = len(y) // stretch
-    parts = np.nan_to_num(y[: count * stretch], nan=0.0).reshape(count, stretch)
-    first = np.arange(count) * stretch
-    places = np.sort(np.stack([first + parts.argmin(axis=1), first + parts.argmax(axis=1)], axis=1), axis=1).ravel()
-    return x[places], y[places]

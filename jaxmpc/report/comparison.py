@@ -1,6 +1,6 @@
 """Controllers side by side on one experiment: what each leaves, how they differ over drawn motions, how loops look."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,9 +10,10 @@ import numpy as np
 from jaxmpc import evaluate
 from jaxmpc.closed_loops import Outcome
 from jaxmpc.experiment import Experiment
+from jaxmpc.files.toml import toml_text
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import AXES, HIGHEST_M_S, MARGINS, METRICS, PARAMETERS, Quantity
-from jaxmpc.report.charts import Loop, force_charts, loop_charts, margin_charts
+from jaxmpc.report.charts import LoopCurve, force_charts, loop_charts, margin_charts
 from jaxmpc.report.content import Candidates, Chart, Detail, Report, Section, Table, measure
 from jaxmpc.report.loops import Curves, curves
 from jaxmpc.stability import Margins, margins
@@ -20,7 +21,7 @@ from jaxmpc.stability.family import family_margins, judged_where
 from jaxmpc.synthesis.params import Params, by_structure
 
 CONFIDENCE = 0.95
-"""Of the intervals of differences [-]."""
+"""Probability that an interval of differences holds the mean [-]."""
 PER_AXIS = ("rms", "true_rms", "peak_to_peak", "true_peak_to_peak")
 """Metrics that are shown on every axis; of the others the worst."""
 SPAN, STIFFNESSES = (0.6, 1.6), 41
@@ -49,17 +50,17 @@ class Entry(NamedTuple):
     place: str
     """Tissue and axis."""
     values: np.ndarray
-    """Of every contender on the experiment itself, (contenders,)."""
+    """One of every contender, on the experiment itself, (contenders,)."""
     drawn: np.ndarray | None
     """On the drawn motions, (contenders, seeds); None where no motion matters."""
 
 
-class Difference(NamedTuple):
+class PairedDifference(NamedTuple):
     """How much more one has than the first, over the same motions."""
 
     mean: float
     half_width: float
-    """Of the interval in which the mean lies with `CONFIDENCE`; NaN of a single pair."""
+    """Half of the interval in which the mean lies with `CONFIDENCE`; NaN of a single pair."""
 
     @property
     def told(self) -> bool:
@@ -136,7 +137,7 @@ def known_margins(params: Params, stiffness: Sequence[float], path: Any) -> Marg
     return Margins(**worst, status=found.status.max(axis=-1))
 
 
-def difference(first: np.ndarray, other: np.ndarray) -> Difference:
+def difference(first: np.ndarray, other: np.ndarray) -> PairedDifference:
     """Paired difference over motions that both held, with its Student interval.
 
     Args:
@@ -147,11 +148,11 @@ def difference(first: np.ndarray, other: np.ndarray) -> Difference:
 
     apart = (other - first)[np.isfinite(other - first)]
     if not len(apart):
-        return Difference(np.nan, np.nan)
+        return PairedDifference(np.nan, np.nan)
     if len(apart) == 1:
-        return Difference(float(apart[0]), np.nan)
+        return PairedDifference(float(apart[0]), np.nan)
     spread = float(np.std(apart, ddof=1)) / np.sqrt(len(apart))
-    return Difference(float(apart.mean()), float(t.ppf(0.5 + CONFIDENCE / 2.0, len(apart) - 1)) * spread)
+    return PairedDifference(float(apart.mean()), float(t.ppf(0.5 + CONFIDENCE / 2.0, len(apart) - 1)) * spread)
 
 
 def table(found: Comparison) -> Table:
@@ -260,8 +261,6 @@ def _differences(entry: Entry) -> Iterator[str]:
 
 def _rows(found: Comparison) -> Candidates:
     """The contenders as rows that can be explored."""
-    import tomli_w
-
     contenders = found.contenders
     numbers = {
         name: np.array([np.mean(np.asarray(getattr(one.params, name))) for one in contenders]) for name in PARAMETERS
@@ -276,7 +275,7 @@ def _rows(found: Comparison) -> Candidates:
         measures.append(
             measure(margin, np.stack([np.asarray(getattr(one.margins, name)) for one in found.outcomes]), limit)
         )
-    texts = [f"# {one.origin}\n" + tomli_w.dumps({"params": _plain(one.params)}) for one in contenders]
+    texts = [toml_text({"params": one.params.to_dict()}, one.origin) for one in contenders]
     return Candidates(
         names=[one.name for one in contenders],
         measures=measures,
@@ -286,10 +285,6 @@ def _rows(found: Comparison) -> Candidates:
         details={k: Detail(toml=text) for k, text in enumerate(texts)},
         note="every controller's curves are drawn over each other below.",
     )
-
-
-def _plain(params: Params) -> Mapping[str, Any]:
-    return {name: value for name, value in params.to_dict().items() if value is not None}
 
 
 def _force_charts(found: Comparison) -> list[Chart]:
@@ -310,7 +305,7 @@ def _loop_charts(found: Comparison) -> list[Chart]:
     charts = []
     for i, K_s in enumerate(experiment.stiffness):
         loops = [
-            Loop(one.name, curve, i, k, _radius(found, k, i) < 1.0)
+            LoopCurve(one.name, curve, i, k, _radius(found, k, i) < 1.0)
             for k, (one, curve) in enumerate(zip(found.contenders, drawn, strict=True))
         ]
         charts += loop_charts(f"{K_s:g} N/m", loops, HIGHEST_M_S)

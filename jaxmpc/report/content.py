@@ -192,6 +192,8 @@ class Candidates:
         note: Which rows have details, and what these are.
         influence: By measure, share of its variance that each parameter explains, (parameters, 1 + tissues), the
             worst tissue first; see `jaxmpc.report.influence`.
+        group: What the tissues are, where they are something else, such as controllers in the same trial.
+        file: What a row's TOML is called.
     """
 
     names: Sequence[str]
@@ -203,6 +205,8 @@ class Candidates:
     details: Mapping[int, Detail] = field(default_factory=dict)
     note: str = ""
     influence: Mapping[str, np.ndarray] = field(default_factory=dict)
+    group: str = "tissue"
+    file: str = "params.toml"
 
     def __len__(self) -> int:
         return len(self.names)

@@ -86,6 +86,8 @@ def _rows(rows: Candidates, columns: _Columns) -> dict[str, Any]:
         "lean": lean,
         "influence": {name: np.round(shares, 4).tolist() for name, shares in rows.influence.items()},
         "exact": exact,
+        "group": rows.group,
+        "file": rows.file,
     }
 
 

@@ -10,8 +10,8 @@ from jaxmpc.cli import main
 from jaxmpc.cli.compare import contender_from, named
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import write_toml
-from jaxmpc.report.charts import thinned
 from jaxmpc.report.comparison import difference
+from jaxmpc.report.thinning import thinned
 from jaxmpc.synthesis.params import Params
 
 SHORT = """\
@@ -98,6 +98,7 @@ def test_a_folder_without_a_result_and_a_file_that_is_no_controller(tmp_path: Pa
             contender_from(str(path))
 
 
+@pytest.mark.slow
 def test_a_comparison(
     tuned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

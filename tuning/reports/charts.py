@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmpc.experiment import AXES
-from jaxmpc.report.charts import Loop, loop_charts
+from jaxmpc.report.charts import LoopCurve, loop_charts
 from jaxmpc.report.content import Chart, Mark, Series
 from jaxmpc.report.loops import Curves
 from tuning.proof.reached import kept
@@ -99,7 +99,7 @@ def loops(result: TuneResult, pair: tuple[Curves, Curves]) -> list[Chart]:
     stable, limit = result.stable(result.spec.ideal), result.spec.goals.get("M_s")
     charts = []
     for i, K_s in enumerate(result.spec.experiment.stiffness):
-        both = [Loop(name, pair[which], i, color, bool(stable[which, i])) for which, color, name in BOTH]
+        both = [LoopCurve(name, pair[which], i, color, bool(stable[which, i])) for which, color, name in BOTH]
         charts += loop_charts(f"{K_s:g} N/m", both, limit)
     return charts
 

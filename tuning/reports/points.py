@@ -1,8 +1,8 @@
 """The points that a search visited, as rows to explore: parameters, score, worst residual, hard goals."""
 
 import numpy as np
-import tomli_w
 
+from jaxmpc.files.toml import toml_text
 from jaxmpc.quantities import PARAMETERS
 from jaxmpc.report.content import Candidates, Detail, Measure
 from jaxmpc.report.influence import influence
@@ -76,5 +76,5 @@ def _controllers(result: TuneResult, z: np.ndarray) -> dict[int, Detail]:
 
 def toml_of(params: Params) -> str:
     """A params.toml."""
-    note = "# A point of a search. Freeze it: jaxmpc freeze params.toml -o controller.npz\n"
-    return note + tomli_w.dumps({"params": {k: v for k, v in params.to_dict().items() if v is not None}})
+    note = "A point of a search. Freeze it: jaxmpc freeze params.toml -o controller.npz"
+    return toml_text({"params": params.to_dict()}, note)

@@ -66,8 +66,8 @@ function detailView(state, box) {
           said.textContent = document.execCommand("copy") ? "copied" : "marked: press Ctrl+C";
         }
       };
-      right.append(element("div", { className: "bar" }, element("strong", { textContent: "params.toml" }),
-        element("button", { textContent: "Copy", onclick: copy }), element("button", { textContent: "Save", id: "save-toml", onclick: () => save("params.toml", text) }), said), block);
+      right.append(element("div", { className: "bar" }, element("strong", { textContent: rows.file }),
+        element("button", { textContent: "Copy", onclick: copy }), element("button", { textContent: "Save", id: "save-toml", onclick: () => save(rows.file, text) }), said), block);
     }
     halves.append(left, right);
     body.append(halves);

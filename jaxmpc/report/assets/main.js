@@ -11,7 +11,7 @@ function topBar(state, cleared) {
   const { rows } = state, bar = element("div", { className: "bar top" });
   const said = element("span", { id: "shown", role: "status" });
   if (rows.tissues.length > 1) {
-    bar.append(choice("Tissue", [["-1", "worst of all"], ...rows.tissues.map((name, t) => [String(t), name])], "-1", (value) => state.setTissue(Number(value))));
+    bar.append(choice(rows.group[0].toUpperCase() + rows.group.slice(1), [["-1", "worst of all"], ...rows.tissues.map((name, t) => [String(t), name])], "-1", (value) => state.setTissue(Number(value))));
   }
   for (const each of rows.measures.filter((one) => one.limit !== null)) {
     const input = element("input", { type: "number", value: each.limit, step: "any", size: 6 });
@@ -30,7 +30,7 @@ function explore(state, main) {
   main.append(topBar(state, cleared));
   const wide = part(main, "All rows", "wide");
   parallelView(state, wide.body);
-  const views = [["Pareto front", scatterView], ["Map of two parameters", heatView], ["Stability over tissue", stabilityView], ["Importance", influenceView]];
+  const views = [["Pareto front", scatterView], ["Map of two parameters", heatView], [`Stability over ${rows.group}`, stabilityView], ["Importance", influenceView]];
   const grid = element("div", { className: "views" });
   main.append(grid);
   for (const [title, view] of views) {
@@ -41,7 +41,7 @@ function explore(state, main) {
   cleared.push(tableView(state, table.body));
   detailView(state, part(main, "Chosen row", "wide").body);
   if (!rows.exact) {
-    const lean = rows.lean.length ? ` To keep the file small, ${rows.lean.join(", ")} ${rows.lean.length > 1 ? "are" : "is"} here for the worst tissue alone.` : "";
+    const lean = rows.lean.length ? ` To keep the file small, ${rows.lean.join(", ")} ${rows.lean.length > 1 ? "are" : "is"} here for the worst ${rows.group} alone.` : "";
     main.append(element("p", { className: "note" }, `What was measured is here with 16 bits a number; parameters are exact.${lean}`));
   }
 }

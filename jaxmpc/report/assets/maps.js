@@ -117,7 +117,7 @@ function stabilityView(state, box) {
     });
     picture.setAttribute("aria-label", `share of stable rows over ${name} and tissue`);
     const percent = (share) => `${(100 * share).toFixed(share > 0 && share < 0.01 ? 2 : 0)} %`;
-    return mapOption(colors, rows.tissues, cell.names, { filled, empty }, { low: 0, high: 1, log: false }, "tissue", heading(state.measures.get(name)),
+    return mapOption(colors, rows.tissues, cell.names, { filled, empty }, { low: 0, high: 1, log: false }, rows.group, heading(state.measures.get(name)),
       (value) => (value.length < 4 ? "none is stable" : `stable ${percent(value[3])}, margins kept ${percent(value[2])}`));
   }
 
@@ -138,7 +138,7 @@ function influenceView(state, box) {
 
   function option(colors) {
     const shares = influence[name], width = shares[0].length;
-    const places = width > 1 ? ["worst tissue", ...tissues] : ["all"];
+    const places = width > 1 ? [`worst ${state.rows.group}`, ...tissues] : ["all"];
     const order = parameters.map((_, k) => k).sort((p, q) => shares[p][0] - shares[q][0]);
     picture.setAttribute("aria-label", [...order].reverse().map((k) => `${parameters[k].head} ${(100 * shares[k][0]).toFixed(0)} %`).join(", "));
     return {

@@ -32,7 +32,7 @@ function tableView(state, box) {
   const sight = element("div", { className: "sight", tabIndex: 0, role: "region" }, above, table, below);
   sight.setAttribute("aria-label", "rows; arrow keys move, Enter shows one");
   sight.style.maxHeight = `${(SIGHT + 2.6) * LINE}px`;
-  const columns = [{ name: "", head: "row", unit: "-", text: "its name" }, { name: "status", head: "status", unit: "-", text: "worst over the tissues" }, ...measures];
+  const columns = [{ name: "", head: "row", unit: "-", text: "its name" }, { name: "status", head: "status", unit: "-", text: `the worst, ${rows.group} by ${rows.group}` }, ...measures];
 
   const titles = columns.map((each) => {
     const button = element("button", { textContent: heading(each), title: each.text, onclick: () => sort(each.name) });
