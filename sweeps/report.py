@@ -23,6 +23,8 @@ GOALS = ("rms", "M_s", "chatter")
 """What the Pareto front shows first."""
 MOST_ROWS = 100_000
 """Rows of a page; of a larger sweep the front, the best and an even sample of the others."""
+MOST_DRAWN = 600_000
+"""Values of drawn parameters, of which every bit is kept."""
 PLOTTED, PLOTTED_ON_ARM = 12, 3
 """Rows of which curves are computed: the best, then the front."""
 WINDOW = 6.0
@@ -198,14 +200,17 @@ def _that_matter(result: Result, max_M_s: float) -> list[int]:
 
 
 def _sample(result: Result, max_M_s: float) -> Result:
-    """At most `MOST_ROWS` rows: those that matter, and evenly of the others."""
-    if len(result) <= MOST_ROWS:
+    """Not more rows than a page can hold: those that matter, and evenly of the others."""
+    most = MOST_ROWS
+    if result.plan.space.kind != "grid":
+        most = min(most, MOST_DRAWN // len(result.plan.space.axes))
+    if len(result) <= most:
         return result
     keep = np.zeros(len(result), bool)
     matter = np.concatenate([result.pareto()["row"], result.best(1000, max_M_s)["row"]])
     keep[np.isin(result["row"], matter)] = True
     others = np.flatnonzero(~keep)
-    keep[others[np.linspace(0, len(others) - 1, MOST_ROWS - int(keep.sum())).round().astype(int)]] = True
+    keep[others[np.linspace(0, len(others) - 1, most - int(keep.sum())).round().astype(int)]] = True
     return result.take(np.flatnonzero(keep))
 
 

@@ -2,16 +2,22 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from scipy import stats
 
 from jaxmpc.cli import main
 from jaxmpc.cli.compare import contender_from, named
+from jaxmpc.closed_loops import Outcome
+from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import write_toml
-from jaxmpc.report.comparison import difference
+from jaxmpc.metrics import Metrics
+from jaxmpc.quantities import MARGINS, METRICS
+from jaxmpc.report.comparison import PER_AXIS, Comparison, Contender, difference, table
 from jaxmpc.report.thinning import thinned
+from jaxmpc.stability import Margins
 from jaxmpc.synthesis.params import Params
 
 SHORT = """\
@@ -96,6 +102,35 @@ def test_a_folder_without_a_result_and_a_file_that_is_no_controller(tmp_path: Pa
     for path, bound in ((tmp_path, "one with a params.toml"), (tmp_path / "false.npz", "a frozen controller")):
         with pytest.raises(InputError, match=bound):
             contender_from(str(path))
+
+
+def made_up(rms: float, random: np.random.Generator) -> tuple[Outcome, Metrics]:
+    """A run on two tissues, and on five drawn motions."""
+    own = Metrics(*(np.full((2, 3), rms) for _ in Metrics._fields))
+    drawn = Metrics(*(rms + random.normal(0.0, 1e-3, (5, 2, 3)) for _ in Metrics._fields))
+    margins = Margins(*(np.full(2, 10.0 * rms) for _ in Margins._fields[:-1]), np.zeros(2, int))
+    return Outcome(own, margins, np.zeros(2, int), np.full(2, np.nan), None), drawn
+
+
+def test_the_table_has_everything_and_the_differences() -> None:
+    random = np.random.default_rng(1)
+    (first, motions), (second, others) = made_up(0.1, random), made_up(0.2, random)
+    experiment = msgspec.structs.replace(Experiment.published("table-1"), stiffness=(375.0, 810.0))
+    contenders = [Contender(name, Params(), "made up") for name in "AB"]
+    drawn = Metrics(*(np.stack(pair) for pair in zip(motions, others, strict=True)))
+    ratios = np.full((2, 2, 3), 1.5)
+    found = table(Comparison(experiment, contenders, [first, second], drawn, [None, None], ratios))
+    assert found.head == ["", "K_s, axis", "A", "B", "B − A"]
+    by_axis, worst = len(PER_AXIS) * 2 * 3, (len(METRICS) - len(PER_AXIS)) * 2
+    assert len(found.rows) == by_axis + worst + len(MARGINS) * 2 + 2 * 3
+    rms = next(row for row in found.rows if row[:2] == ["RMS [mN]", "810 N/m, Z"])
+    apart = stats.ttest_rel(others.rms[:, 1, 2], motions.rms[:, 1, 2])
+    interval = apart.confidence_interval(0.95)
+    half = 0.5e3 * (interval.high - interval.low)
+    middle = 1e3 * (others.rms - motions.rms)[:, 1, 2].mean()
+    assert rms[2:] == ["100.0", "200.0", f"{middle:+.1f} ± {half:.1f} *"]
+    M_s = next(row for row in found.rows if row[0] == "M_s")
+    assert M_s[2:] == ["1.00", "2.00", "+1.00"]
 
 
 @pytest.mark.slow

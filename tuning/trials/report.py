@@ -147,10 +147,11 @@ def _rows(job: Job, names: Sequence[str], found: Outcomes) -> Candidates:
         for name, values in found_of.items()
     ]
     radius = measure(MARGINS["spectral_radius"], found.spectral_radius)
+    lost = Measure("lost", "lost", "-", "1 where it was", found.lost.astype(float), "other", "ceiling", whole=True)
     worst = list(dict.fromkeys(i for c in range(len(names)) for i in ranked(found, c, KEPT)))
     return Candidates(
         names=[f"trial {i}" for i in range(len(trials))],
-        measures=[*drawn, *results, radius],
+        measures=[*drawn, *results, radius, lost],
         status=found.status.astype(np.uint8),
         tissues=list(names),
         goals=("rms", "peak_error", "swing"),
