@@ -5,7 +5,6 @@ import numpy as np
 from jaxmpc.files.toml import toml_text
 from jaxmpc.quantities import PARAMETERS
 from jaxmpc.report.content import Candidates, Detail, Measure
-from jaxmpc.report.influence import influence
 from jaxmpc.synthesis.params import Params
 from tuning.job.goals import GOALS
 from tuning.proof.result import TuneResult
@@ -16,6 +15,9 @@ MOST = 20_000
 
 def points(result: TuneResult) -> Candidates | None:
     """Every iteration and start of the last step of a search; None where it has not taken one.
+
+    Points that follow a descent are no sample of the space, so that nothing is said of shares of variance: exact
+    gradients tell what matters.
 
     Args:
         result: What `tune` returned.
@@ -60,7 +62,6 @@ def points(result: TuneResult) -> Candidates | None:
         goals=("worst", "worst_M_s", "score"),
         details=_controllers(result, z),
         note="the best of each start, as whole controllers ready to freeze.",
-        influence=influence(parameters, found) if len(z) > 1 else {},
     )
 
 

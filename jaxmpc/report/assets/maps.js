@@ -90,7 +90,7 @@ const varies = (each) => each.columns[0].some((value) => value !== each.columns[
 
 function stabilityView(state, box) {
   const { rows } = state, parameters = rows.measures.filter((each) => each.role === "parameter" && varies(each));
-  if (!parameters.length || state.count < LEAST_ROWS) return false;
+  if (!parameters.length || state.count < LEAST_ROWS || rows.tissues.length < 2) return false;
   let name = parameters[0].name;
   const picture = element("div", { className: "chart tall", role: "img" });
   box.append(

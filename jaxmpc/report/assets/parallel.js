@@ -275,9 +275,9 @@ function parallelView(state, box) {
   }
 
   function density(context, takes, faint, count) {
-    // Of very many rows half the heights tell as much, from a quarter of the pairs.
+    // Of very many rows half the heights and half the widths tell as much, from a quarter of the pairs.
     const fine = count < 8000, heights = fine ? LEVELS : LEVELS / 2;
-    const across = Math.max(2, Math.ceil(gap / Math.max(1, Math.round(gap / 110))));
+    const across = Math.max(2, Math.ceil(gap / Math.max(fine ? 1 : 2, Math.round(gap / 110))));
     const all = new Float32Array(heights), good = new Float32Array(heights), tint = new Float32Array(heights);
     const grey = ink().dead.match(/[0-9a-f]{2}/gi).map((digits) => parseInt(digits, 16));
     scratch.width = across;
