@@ -27,6 +27,7 @@ VERBS = {
         "sweeps.cli", "many controllers over a set of stiffnesses; run it again to resume; `sweep report` shows it"
     ),
     "tune": Verb("tuning.cli", "gradient autotuning, worst case over stiffness, margins held"),
+    "compare": Verb("jaxmpc.cli.compare", "controllers side by side: one table with differences, one report"),
     "limit": Verb("jaxmpc.cli.limit", "the least residual that any linear law could reach, and a controller beside it"),
     "trials": Verb("tuning.trials.cli", "random trials of a controller on the arm: how often is it lost, or swings"),
     "freeze": Verb("jaxmpc.cli.freeze", "parameters → a sealed controller for the robot"),

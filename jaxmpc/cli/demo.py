@@ -100,8 +100,7 @@ def _paper(text: "Params", printed: "Params") -> None:
 
 
 def _sweep(folder: Path) -> "Result":
-    from sweeps.heat import heat_map
-    from sweeps.report import pareto_figure, table
+    from sweeps.report import sweep_report, table
     from sweeps.run import run as sweep
     from sweeps.spec import SweepSpec
 
@@ -109,8 +108,8 @@ def _sweep(folder: Path) -> "Result":
     print(table(result, 3))
     counts = ", ".join(f"{count} {name}" for name, count in result.status_counts().items() if count)
     print(f"controller × tissue: {counts}; result sha256 {result.hash[:16]}…")
-    heat_map(result, folder / "sweep-heat-map.png", x="Khat_s", y="Q_p")
-    pareto_figure(result, folder / "sweep-pareto.png")
+    # Curves of single rows would take compiling; `jaxmpc sweep report` computes them.
+    sweep_report(result, folder / "sweep.html", curves=False)
     return result
 
 

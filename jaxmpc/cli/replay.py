@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from deploy.flight.recorder import FlightRecording
     from jaxmpc.law.recorded import RecordedInputs
 
@@ -21,7 +19,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--artifact", type=Path, default=Path("controller.npz"), help="the controller that flew (controller.npz)"
     )
-    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw what flew over what was computed anew")
+    parser.add_argument(
+        "--report", type=Path, metavar="HTML", help="every signal that flew, and what was computed anew over it"
+    )
     parser.add_argument("--tolerance", type=float, default=1e-9, help="share of the largest value (1e-9)")
 
 
@@ -65,9 +65,11 @@ def run(args: argparse.Namespace) -> int:
         bound = "one with at least a second of control in it"
         raise InputError("recording", args.recording, bound, "Nothing of this one can be computed anew.")
     parted = [row for row in everything if row.parts]
-    if args.picture:
-        _draw(args.picture, recording, inputs, again)
-        print(f"\npicture: {args.picture}")
+    if args.report:
+        from jaxmpc.cli.flight_report import flight_report
+
+        flight_report(args.report, recording, again, rows)
+        print(f"\nreport: {args.report}")
     if parted:
         first = min(parted, key=lambda row: row.first)
         print(f"\nthey part: first {first.signal} at {first.first:.3f} s, by {first.by:.3g} {first.unit}")
@@ -87,26 +89,3 @@ def _introduce(recording: "FlightRecording", inputs: "RecordedInputs") -> None:
     missing = int((inputs.contact & (inputs.force != inputs.force).any(axis=1)).sum())
     if missing:
         print(f"forces missing in contact, bridged: {missing}")
-
-
-def _draw(
-    path: Path, recording: "FlightRecording", inputs: "RecordedInputs", again: dict[str, dict[str, "np.ndarray"]]
-) -> None:
-    """What flew and what was computed anew, one plot a signal."""
-    from matplotlib.figure import Figure
-
-    from deploy.flight.replay import COMPARED
-
-    figure = Figure(figsize=(9.0, 2.0 * len(COMPARED)), layout="constrained")
-    for axes, (signal, unit) in zip(figure.subplots(len(COMPARED), 1, sharex=True), COMPARED.items(), strict=True):
-        if signal in recording.signals:
-            axes.plot(inputs.time, recording.signals[signal], linewidth=2.0, alpha=0.4)
-        for style, signals in zip(("k--", "r:"), again.values(), strict=False):
-            if signal in signals:
-                axes.plot(inputs.time, signals[signal], style, linewidth=0.8)
-        axes.set_ylabel(f"{signal} [{unit}]")
-    axes.set_xlabel("t [s]; wide: flown, dashed: runtime, dotted: simulator's law")
-    try:
-        figure.savefig(path)
-    except (OSError, ValueError) as error:
-        raise InputError("--picture", path, "a file that can be written", f"{error}.") from None

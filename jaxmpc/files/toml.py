@@ -130,13 +130,18 @@ def _line_of(path: Path, key: str) -> int | None:
 
 
 def write_toml(path: str | Path, data: dict[str, Any], comment: str = "") -> None:
-    """Write a TOML file whole or not at all; None, of which TOML has no word, is left out."""
-    import tomli_w
-
+    """Write a TOML file whole or not at all, see `toml_text`."""
     from jaxmpc.files.sealed import write_atomic
 
+    write_atomic(Path(path), toml_text(data, comment).encode())
+
+
+def toml_text(data: dict[str, Any], comment: str = "") -> str:
+    """Data as TOML below a comment; None, of which TOML has no word, is left out."""
+    import tomli_w
+
     head = "".join(f"# {line}\n" for line in comment.splitlines())
-    write_atomic(Path(path), (head + tomli_w.dumps(_without_none(data))).encode())
+    return head + tomli_w.dumps(_without_none(data))
 
 
 def _without_none(data: Any) -> Any:

@@ -107,16 +107,14 @@ def write_params(result: "Result", path: Path) -> None:
 
 def _report(result: "Result", folder: Path, args: argparse.Namespace, n: int) -> int:
     from jaxmpc.files.toml import write_toml
-    from sweeps.report import heat_map, mapped_axes, pareto_figure, table
+    from sweeps.report import sweep_report, table
 
-    limit = 2.0 if args.max_ms is None else args.max_ms
+    limit = args.max_ms
     out = args.out or folder / "report"
     out.mkdir(parents=True, exist_ok=True)
-    written = [out / "pareto.png"]
-    pareto_figure(result, written[0], max_M_s=limit)
-    if mapped_axes(result):
-        written.append(out / "heat-map.png")
-        heat_map(result, written[-1], max_M_s=limit)
+    written = [out / "report.html"]
+    print("computing the curves of the rows that matter …", file=sys.stderr, flush=True)
+    sweep_report(result, written[0], limit)
     best = result.best(n, limit)
     if len(best):
         written.append(out / "best.toml")

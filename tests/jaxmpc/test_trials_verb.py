@@ -51,7 +51,7 @@ def test_who_never_fails_ends_with_0(
     assert {path.name for path in out.iterdir()} == {
         "blocks",
         "trials.csv",
-        "trials.png",
+        "trials.html",
         "worst.toml",
         "worst-against.toml",
     }

@@ -15,7 +15,7 @@ from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps.plan import Plan
-from sweeps.report import heat_map, mapped_axes, pareto_figure, table
+from sweeps.report import candidates, sweep_report, table, template
 from sweeps.result import Point, Result
 
 Finished = tuple[Path, Result]
@@ -125,12 +125,13 @@ def test_without_xarray_the_extra_is_named(finished: Finished, monkeypatch: pyte
         finished[1].to_xarray()
 
 
-def test_report_writes_figures_and_the_best_controller(
+@pytest.mark.slow
+def test_report_writes_the_page_and_the_best_controller(
     finished: Finished, command: Callable[..., int], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     folder, result = finished
     before = sorted(folder.rglob("*"))
-    out = tmp_path / "figures"
+    out = tmp_path / "out"
     arguments = ("sweep", "report", folder, "-o", out, "--csv", tmp_path / "all.csv", "--max-ms", 5, "-n", 3)
     assert command(*arguments) == 0
     said = capsys.readouterr().out
@@ -138,7 +139,7 @@ def test_report_writes_figures_and_the_best_controller(
     assert len(best) == 3
     assert table(result, 3, 5.0) in said
     assert result.hash in said
-    assert {path.name for path in out.iterdir()} == {"pareto.png", "heat-map.png", "best.toml"}
+    assert {path.name for path in out.iterdir()} == {"report.html", "best.toml"}
     values = tomllib.loads((out / "best.toml").read_text())["params"]
     assert (values["lam"], values["T_cl"], values["Hp"]) == (best["lam"][0], best["T_cl"][0], best["Hp"][0])
     assert Params.from_toml(out / "best.toml").to_dict() == best.controller(0).to_dict()
@@ -149,19 +150,32 @@ def test_the_table_says_when_nothing_is_robust(finished: Finished) -> None:
     assert "no row has M_s ≤ 1.01" in table(finished[1], 3, 1.01)
 
 
-def test_the_map_takes_axes_that_vary_and_refuses_others(finished: Finished, tmp_path: Path) -> None:
+def test_a_report_has_the_rows_of_the_sweep(finished: Finished) -> None:
     _, result = finished
-    assert mapped_axes(result) == ("lam", "T_cl")
-    heat_map(result, tmp_path / "other.png", x="Hp")
-    assert (tmp_path / "other.png").stat().st_size > 10_000
-    for wrong in ({"x": "Ks"}, {"x": "lam", "y": "lam"}):
-        with pytest.raises(InputError):
-            heat_map(result, tmp_path / "wrong.png", **wrong)
-    assert not (tmp_path / "wrong.png").exists()
+    rows = candidates(result, 5.0)
+    assert len(rows) == ROWS
+    by_name = {each.name: each for each in rows.measures}
+    np.testing.assert_array_equal(by_name["T_cl"].values, result["T_cl"])
+    np.testing.assert_allclose(by_name["M_s"].values, result["M_s"])
+    good = np.isfinite(result.worst_rms) & (result.worst_M_s <= 5.0)
+    np.testing.assert_array_equal(rows.feasible, good)
+    np.testing.assert_allclose(by_name["rms"].worst[good], 1e3 * result.worst_rms[good])
+    shares = rows.influence["M_s"]
+    assert shares.shape == (3, 1 + 2)
+    # λ and T_cl make a loop fast or slow; the horizon hardly does.
+    assert shares[2, 0] < 0.1 < shares[:2, 0].max()
 
 
-@pytest.mark.filterwarnings("error")
-def test_figures_stand_a_sweep_in_which_everything_failed(finished: Finished, tmp_path: Path) -> None:
+def test_the_params_toml_of_a_row_is_its_controller(finished: Finished, tmp_path: Path) -> None:
+    _, result = finished
+    pieces = template(result)
+    values = {"row": "row 7", **{name: result[name][7].item() for name in ("lam", "T_cl", "Hp")}}
+    text = "".join(piece if isinstance(piece, str) else str(values[piece.name]) for piece in pieces)
+    (tmp_path / "params.toml").write_text(text)
+    assert Params.from_toml(tmp_path / "params.toml").to_dict() == result.controller(7).to_dict()
+
+
+def test_a_report_stands_a_sweep_in_which_everything_failed(finished: Finished, tmp_path: Path) -> None:
     _, result = finished
     columns = dict(result.columns) | {
         "status": np.full_like(result["status"], Status.UNSTABLE),
@@ -169,6 +183,6 @@ def test_figures_stand_a_sweep_in_which_everything_failed(finished: Finished, tm
         "rms": np.full_like(result["rms"], np.nan),
     }
     failed = replace(result, columns=columns, baseline=Point(np.inf, np.inf))
-    heat_map(failed, tmp_path / "heat.png")
-    pareto_figure(failed, tmp_path / "pareto.png")
+    sweep_report(failed, tmp_path / "report.html")
+    assert (tmp_path / "report.html").stat().st_size > 500_000
     assert "0 of 120 are stable" in table(failed)

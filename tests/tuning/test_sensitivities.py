@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxmpc import Params, design
+from jaxmpc.report.loops import curves
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.world.loop_path import loop_path
@@ -19,7 +20,6 @@ from tuning.objective.loss import HEADROOM, PENALTY, value_and_gradient
 from tuning.objective.problem import Problem, over_starts
 from tuning.proof.gradients import SCORE, judged_on, on_tissue, slopes, values_at
 from tuning.proof.limits import limits, multipliers_of
-from tuning.proof.loops import curves
 from tuning.proof.result import assess
 from tuning.proof.sensitivities import log_slopes, sensitivities, vector_of
 from tuning.proof.split import split

@@ -1,5 +1,6 @@
 """Random trials: what is drawn, that each is the experiment it claims to be, and what is counted."""
 
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,11 @@ import scipy.stats
 
 from jaxmpc import Experiment, InputError, Params, Status, evaluate
 from jaxmpc.experiment.reference import Reference
+from jaxmpc.report.content import Table
 from tuning import trials
 from tuning.job.scenarios import RHYTHMS
 from tuning.trials import HARD, NOMINAL, Job, Outcomes
-from tuning.trials.report import pairs, ranked
+from tuning.trials.report import pairs, ranked, trials_report
 
 BLOCK = 4
 
@@ -48,6 +50,22 @@ def test_pairs_and_ranks() -> None:
     assert pairs(found.lost) == (0, 2, 0, 3)
     assert ranked(found, 0, 4) == [1, 4, 2, 0]
     assert ranked(found, 1, 2) == [4, 0]
+
+
+def test_the_report_has_every_trial_and_the_worst_as_files() -> None:
+    found = outcomes([[1.0, 3.0], [np.nan, 1.0], [2.0, 2.5]], [[0, 0], [2, 0], [0, 0]])
+    asked = job(Params(), Params.published("cautious"))
+    report = trials_report(asked, ["text", "cautious"], found, Table(("controller",), [["text"]]))
+    rows = report.rows
+    assert rows is not None
+    assert (len(rows), list(rows.tissues), rows.group) == (3, ["text", "cautious"], "controller")
+    by_name = {each.name: each for each in rows.measures}
+    np.testing.assert_array_equal(by_name["stiffness"].values, [asked.trial(i).stiffness[0] for i in range(3)])
+    np.testing.assert_array_equal(by_name["peak_error"].values, 1e3 * found.peak_error.max(axis=-1))
+    assert rows.feasible.tolist() == [False, False, False]
+    again = Experiment.from_dict(tomllib.loads(rows.details[2].toml))
+    assert again.to_dict() == asked.trial(2).to_dict()
+    assert report.sections[0].charts[0].marks[0].x == 2.0
 
 
 def test_a_stable_loop_that_an_event_pushes_is_not_lost() -> None:

@@ -51,10 +51,6 @@ def test_a_tuned_controller_comes_with_its_proof(
         "state.npz",
         "history.png",
         "before_after.png",
-        "sensitivity.png",
-        "nyquist.png",
-        "step.png",
-        "split.png",
     }
     params = Params.from_toml(out / "params.toml")
     spec = TuneSpec.from_dict(job)

@@ -20,7 +20,7 @@ from deploy.safety.reasons import Reason
 from jaxmpc.cli.demo import SECONDS, SETTLE
 from sweeps.result import Result
 
-PICTURES = ("sweep-heat-map.png", "sweep-pareto.png", "tuning-history.png", "flight.png")
+PICTURES = ("tuning-history.png", "flight.png")
 pytestmark = pytest.mark.slow
 
 
@@ -100,3 +100,9 @@ def test_the_sweep_and_the_tuned_controller_lie_there(demo: Demo) -> None:
 @pytest.mark.parametrize("name", PICTURES)
 def test_its_pictures_are_drawn(demo: Demo, name: str) -> None:
     assert (demo.folder / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_its_sweep_can_be_explored(demo: Demo) -> None:
+    page = (demo.folder / "sweep.html").read_text(encoding="utf-8")
+    assert 'id="explorer"' in page
+    assert "5120 rows on 3 stiffnesses" in page

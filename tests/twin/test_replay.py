@@ -161,7 +161,7 @@ def test_a_recording_from_before_there_were_schedules_is_replayed(flight, tmp_pa
     for row in np.hstack([recording.signals[name] for name in columns]):
         recorder.append(row)
     write(tmp_path / "old.npz", flight / "controller.npz", recorder)
-    assert replay(tmp_path / "old.npz", "--artifact", flight / "controller.npz", "--picture", tmp_path / "a.png") == 0
+    assert replay(tmp_path / "old.npz", "--artifact", flight / "controller.npz", "--report", tmp_path / "a.html") == 0
 
 
 @pytest.mark.oracle
@@ -175,14 +175,16 @@ def test_it_shows_where_a_flight_parts(tmp_path, capsys):
             runtime._axes = ((x_hat, p_hat + 1e-3, *x), *rest)
 
     write(tmp_path / "flight.npz", controller, fly(load(controller), change=slip))
-    picture = tmp_path / "flight.png"
+    report = tmp_path / "flight.html"
     words = (tmp_path / "flight.npz", "--artifact", controller)
-    assert replay(*words, "--picture", picture) == 1
+    assert replay(*words, "--report", report) == 1
     out = capsys.readouterr().out
     assert "they part: first" in out
     assert "at 0.800 s" in out
     assert out.count("at 0.800 s by") == 8  # v, a, p_hat and torques of both programs; u a sample later
-    assert picture.read_bytes()[1:4] == b"PNG"
+    page = report.read_text(encoding="utf-8")
+    assert "0.800" in page
+    assert page.count('class="chart"') > 30
     assert replay(*words, "--tolerance", "0.5") == 0
 
 
@@ -206,7 +208,7 @@ def test_wrong_files_are_refused(flight, tmp_path):
         ((damaged, "--artifact", controller), "cut short"),
         ((tmp_path / "none.npz", "--artifact", controller), "No such file"),
         ((recording, "--artifact", controller, "--tolerance", "0"), "in \\(0, 1\\)"),
-        ((recording, "--artifact", controller, "--picture", tmp_path / "no" / "a.png"), "can be written"),
+        ((recording, "--artifact", controller, "--report", tmp_path / "no" / "a.html"), "can be written"),
     ]
     for words, text in cases:
         with pytest.raises(InputError, match=text):

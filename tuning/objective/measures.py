@@ -14,6 +14,7 @@ from jaxmpc.law.gains import Gains
 from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import HP_MAX, METRICS
+from jaxmpc.report.loops import STEP_SAMPLES
 from jaxmpc.spectra.effort import chatter_rms, effort_rms
 from jaxmpc.spectra.residual import residual_rms
 from jaxmpc.spectra.spectrum import Spectrum
@@ -35,8 +36,6 @@ SPECTRAL = {
     "swing": swing_rms,
 }
 """Metrics that a frequency response and a spectrum give."""
-STEP_SAMPLES = 512
-"""Length of the step response in which the overshoot is looked for [samples]."""
 
 
 class ProblemStructure(NamedTuple):

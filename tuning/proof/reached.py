@@ -6,9 +6,9 @@ import jax
 import numpy as np
 
 from jaxmpc.metrics import Metrics
+from jaxmpc.report.loops import curves
 from jaxmpc.xla.precision import in_float64
 from tuning.job.goals import GOALS, OVERSHOOT, run_goals
-from tuning.proof.loops import curves
 from tuning.proof.result import TuneResult
 
 STUDY = "a study without the robot's limits, not a controller for a robot"

@@ -1,20 +1,19 @@
 """The part of the report that says why the result is as it is."""
 
 from collections.abc import Iterator
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxmpc.experiment import AXES
+from jaxmpc.report.content import Section, Table
+from jaxmpc.report.loops import Curves, curves
 from tuning.proof.gradients import SCORE
 from tuning.proof.limits import RELAXED, LimitStudy, limits
-from tuning.proof.loops import Curves, curves
 from tuning.proof.result import TuneResult
 from tuning.proof.sensitivities import Sensitivities, sensitivities
 from tuning.proof.split import CAUSES, Split, split
-from tuning.reports.html import Html, note, picture, section, table, tag
-from tuning.reports.study_figures import sensitivities_figure, split_figure
+from tuning.reports.charts import sensitivity_charts, split_charts
 from tuning.search.state import FEASIBLE
 
 
@@ -35,10 +34,10 @@ def study(result: TuneResult) -> Study:
     return Study((before, after), sensitivities(result), split(result), limits(result))
 
 
-def explained(result: TuneResult, found: Study) -> list[Html]:
+def explained(result: TuneResult, found: Study) -> list[Section]:
     """Sections of the page."""
     return [
-        section("What limits it", *(tag("p", line) for line in limits_text(result, found))),
+        Section("What limits it", list(limits_text(result, found))),
         _split(result, found.split),
         _sensitivities(result, found.sensitivities),
     ]
@@ -77,7 +76,7 @@ def limits_text(result: TuneResult, found: Study) -> Iterator[str]:
         )
 
 
-def _split(result: TuneResult, parts: Split) -> Html:
+def _split(result: TuneResult, parts: Split) -> Section:
     lines = []
     for i, K_s in enumerate(result.spec.experiment.stiffness):
         for a, axis in enumerate(AXES):
@@ -92,12 +91,10 @@ def _split(result: TuneResult, parts: Split) -> Html:
     if not np.nanmax(parts.friction, initial=0.0) > 0.0:
         words += " The linear world has no friction."
     head = ("tissue, axis", "all together [mN]", *(f"{name} [mN]" for name in CAUSES))
-    return section(
-        "Causes of the residual", picture(partial(split_figure, result, parts)), note(words), table(head, lines)
-    )
+    return Section("Causes of the residual", [words], [Table(head, lines)], split_charts(result, parts))
 
 
-def _sensitivities(result: TuneResult, found: Sensitivities) -> Html:
+def _sensitivities(result: TuneResult, found: Sensitivities) -> Section:
     stiffness = result.spec.experiment.stiffness
     lines = [
         [f"{metric} at {K_s:g} N/m", f"{value:.4g}", *map(_signed, found.slopes[k, :, i])]
@@ -111,9 +108,9 @@ def _sensitivities(result: TuneResult, found: Sensitivities) -> Html:
         f"({', '.join(result.spec.soft)}; worst axis and scenario), margins are relative to their limits. Horizons are "
         "whole, so theirs is the change over a sample to either side."
     )
-    figure = picture(partial(sensitivities_figure, result, found))
-    return section(
-        "Sensitivity to the parameters", figure, note(words), table(("metric", "value", *found.parameters), lines)
+    charts = list(sensitivity_charts(result, found))
+    return Section(
+        "Sensitivity to the parameters", [words], [Table(("metric", "value", *found.parameters), lines)], charts
     )
 
 

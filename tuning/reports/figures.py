@@ -12,8 +12,6 @@ from tuning.proof.result import TuneResult
 from tuning.search.run import Step
 from tuning.search.state import FEASIBLE, SearchState
 
-HINT = "hint: "
-"""What begins so as an artist's gid is shown in the HTML report while the pointer rests on it."""
 BOTH = ((0, BASELINE, "before"), (1, TUNED, "after"))
 """Index, colour and name of the two controllers."""
 
@@ -73,7 +71,6 @@ def before_after_figure(result: TuneResult, path: Path) -> None:
         path: Where the figure goes.
     """
     stiffness, counted = result.spec.experiment.stiffness, kept(result)
-    seeds = np.asarray(result.spec.tune.heldout_seeds)[counted]
     places = np.arange(len(stiffness))
     with figure(path, 2, 3, size=(8.0, 5.4)) as axes:
         for row, (metric, title) in enumerate((("rms", "RMS"), ("peak_to_peak", "peak to peak"))):
@@ -82,10 +79,7 @@ def before_after_figure(result: TuneResult, path: Path) -> None:
                     cells = 1e3 * getattr(result.heldout, metric)[which][counted][:, :, a]
                     middle, low, high = (_over_scenarios(f, cells) for f in (np.median, np.min, np.max))
                     at = places + 0.4 * (which - 0.5)
-                    for i, bar in enumerate(panel.bar(at, middle, 0.36, color=color, label=label)):
-                        lines = [f"seed {seed}: {cell:.1f} mN" for seed, cell in zip(seeds, cells[:, i], strict=True)]
-                        head = f"{AXES[a]} axis, {stiffness[i]:g} N/m, {label}: median {middle[i]:.1f} mN"
-                        bar.set_gid(HINT + "\n".join([head, *lines]))
+                    panel.bar(at, middle, 0.36, color=color, label=label)
                     spread = np.stack([middle - low, high - middle])
                     panel.errorbar(at, middle, spread, fmt="none", ecolor="black", elinewidth=0.8, capsize=2)
                 panel.set_xticks(places, [f"{K:g}" for K in stiffness])

@@ -1,6 +1,5 @@
 """The files of a tuning run."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,7 @@ from jaxmpc.files.toml import write_toml
 from tuning.proof.result import TuneResult
 from tuning.reports.explained import study
 from tuning.reports.figures import before_after_figure, history_figure
-from tuning.reports.loop_figures import nyquist_figure, sensitivity_figure, step_figure
 from tuning.reports.page import html_report
-from tuning.reports.study_figures import split_figure
 from tuning.reports.text import report
 
 
@@ -35,14 +32,7 @@ def write(result: TuneResult, folder: Path) -> list[Path]:
     written.append(folder / "report.txt")
     write_atomic(written[-1], report(result).encode())
     found = study(result)
-    for name, draw in (
-        ("history.png", history_figure),
-        ("before_after.png", before_after_figure),
-        ("sensitivity.png", partial(sensitivity_figure, pair=found.loops)),
-        ("nyquist.png", partial(nyquist_figure, pair=found.loops)),
-        ("step.png", partial(step_figure, pair=found.loops)),
-        ("split.png", partial(split_figure, parts=found.split)),
-    ):
+    for name, draw in (("history.png", history_figure), ("before_after.png", before_after_figure)):
         written.append(folder / name)
         draw(result, path=written[-1])
     written.append(folder / "report.html")

@@ -4,8 +4,8 @@ import math
 
 from jaxmpc.limit.comparison import cells, told
 from jaxmpc.limit.least import Demands
+from jaxmpc.report.content import Section, Table
 from tuning.proof.result import TuneResult
-from tuning.reports.sections import Section, Table
 
 MILLI = 1e3
 

@@ -1,15 +1,14 @@
 """The report of a tuning run as one page: what was reached, how robust it is, why it is as it is, the way there."""
 
-from functools import partial
+from collections.abc import Iterator
 
-from jaxmpc import __version__
+from jaxmpc.report.content import Chart, Report, Section
+from jaxmpc.report.page import page
 from tuning.proof.result import TuneResult
-from tuning.reports import html
+from tuning.reports.charts import heldout_charts, history_charts, loops
 from tuning.reports.explained import Study, explained
-from tuning.reports.figures import before_after_figure, history_figure
-from tuning.reports.html import Html, fold, note, page, picture, section, tag
-from tuning.reports.loop_figures import nyquist_figure, sensitivity_figure, step_figure
-from tuning.reports.sections import Section, Table, sections, summary
+from tuning.reports.points import points
+from tuning.reports.sections import sections, summary
 
 
 def html_report(result: TuneResult, study: Study) -> str:
@@ -20,48 +19,41 @@ def html_report(result: TuneResult, study: Study) -> str:
         study: What explains it.
     """
     found, residual = summary(result)
-    title = f"Tuning report: {result.spec.experiment.name}"
     heldout, goals, parameters, scenarios, robustness = sections(result)
-    histories = (
-        fold(step.name, picture(partial(history_figure, result, step=step)), opened=step is result.steps[-1])
-        for step in result.steps
-    )
-    return page(
-        title,
-        tag("h1", title),
-        tag("p", found + ".", class_="bad" if result.unmet() else "good"),
-        tag("p", residual[0].upper() + residual[1:] + "."),
-        _rendered(heldout, picture(partial(before_after_figure, result)), note(BARS)),
-        *map(_rendered, (goals, parameters, scenarios)),
-        _rendered(robustness, *_loops(result, study)),
+    parts = [
+        with_charts(heldout, heldout_charts(result), BARS),
+        goals,
+        parameters,
+        scenarios,
+        with_charts(robustness, loops(result, study.loops), _loops_note(result)),
         *explained(result, study),
-        section("The way there", note("Every start is a line, the winner's in colour."), *histories),
-        note(f"jaxmpc {__version__}, job {result.spec.digest[:12]}."),
-    )
+        *_way(result),
+    ]
+    lead = [f"{found}.", f"{residual[0].upper()}{residual[1:]}.", f"Job {result.spec.digest[:12]}."]
+    # The points of the search come last: they explain, but they are not what was found.
+    return page(Report(f"Tuning report: {result.spec.experiment.name}", lead, points(result), parts, first=len(parts)))
 
 
-BARS = "Bars are medians, whiskers ranges; the pointer resting on a bar shows each scenario."
+BARS = "Bars are medians; dots are the scenarios, and the folded tables name each."
 
 
-def _rendered(part: Section, *pictures: Html) -> Html:
-    """A section: sentences, pictures with their notes, tables."""
-    return section(part.title, *map(note, part.sentences), *pictures, *map(_table, part.tables))
+def with_charts(part: Section, charts: list[Chart], words: str) -> Section:
+    """A section with charts and what they show."""
+    return part._replace(sentences=[*part.sentences, words], charts=charts)
 
 
-def _table(table: Table) -> Html:
-    found = html.table(table.head, table.rows)
-    return fold(table.folded, found) if table.folded else found
-
-
-def _loops(result: TuneResult, study: Study) -> list[Html]:
+def _loops_note(result: TuneResult) -> str:
     ideal = result.spec.ideal
     cut = "" if ideal else " Of its two cuts, at v and at a = v − K₂ẋ, the worse is shown."
-    kind = "ideal loop" if ideal else "loop as it runs"
-    return [
-        picture(partial(sensitivity_figure, result, study.loops)),
-        note(f"Sensitivity |S| = |1/(1 + L)| of the {kind}.{cut}"),
-        picture(partial(nyquist_figure, result, study.loops)),
-        note("Open loop L from 0.1 Hz up. It must stay out of the disc around −1, whose radius is 1/M_s."),
-        picture(partial(step_figure, result, study.loops)),
-        note("Force of the linear loop, without the arm, after a step of its reference by 1 N."),
-    ]
+    return (
+        f"L is the {'ideal loop' if ideal else 'loop as it runs'}, from 0.1 Hz up.{cut} It must stay out of the disc "
+        "around −1, whose radius is 1/M_s. The step is that of the linear loop, without the arm."
+    )
+
+
+def _way(result: TuneResult) -> Iterator[Section]:
+    for step in reversed(result.steps):
+        words = "Every start is a line, the winner's in colour."
+        if step.spectra is not None:
+            words = "Every point is a dot, the best of each iteration in colour."
+        yield Section(f"The way there: {step.name}", [words], (), history_charts(result, step))

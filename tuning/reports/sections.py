@@ -1,35 +1,18 @@
 """What a report of a tuning run says, as titles, sentences and tables; `text` and `page` only say how it looks."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from jaxmpc.experiment import AXES
 from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Metric
+from jaxmpc.report.content import Section, Table
 from jaxmpc.synthesis.params import STRUCTURE, Params
 from tuning.job.space import KNOTS
 from tuning.proof.limits import active_margins
 from tuning.proof.reached import kept, rows, verdict
 from tuning.proof.result import KINDS, TuneResult
 from tuning.search.state import FEASIBLE
-
-
-class Table(NamedTuple):
-    """A table whose first column names the rows."""
-
-    head: Sequence[str]
-    rows: list[list[str]]
-    folded: str = ""
-    """Where it says too much to stand open, the title that opens it."""
-
-
-class Section(NamedTuple):
-    """A part of the report."""
-
-    title: str
-    sentences: list[str]
-    tables: list[Table]
 
 
 def summary(result: TuneResult) -> tuple[str, str]:

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator
 
+from jaxmpc.report.content import Section, Table
 from tuning.proof.result import TuneResult
-from tuning.reports.sections import Section, Table, sections, summary, way
+from tuning.reports.sections import sections, summary, way
 
 
 def report(result: TuneResult) -> str:

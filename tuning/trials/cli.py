@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
+    from jaxmpc.report.content import Table
     from jaxmpc.synthesis.params import Params
     from tuning.trials import Job, Outcomes
 
@@ -28,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="draws other trials (0)")
     parser.add_argument("--experiment", default="table-1-wam", help="what they are drawn around (table-1-wam)")
-    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of table, figure and finished blocks")
+    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of table, report and finished blocks")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
@@ -60,9 +61,9 @@ def run(args: argparse.Namespace) -> int:
     try:
         found = run_trials(job, args.trials, args.out / "blocks" if args.out else None, not args.quiet)
         print(f"{args.trials} trials × {len(names)} controllers after {time.monotonic() - began:.0f} s")
-        _tables(job, names, found)
+        verdicts = _tables(job, names, found)
         if args.out:
-            _files(args.out, job, names, found)
+            _files(args.out, job, names, found, verdicts)
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         print(f"jaxmpc trials: cannot write: {error.strerror}{where}. Finished blocks are kept.", file=sys.stderr)
@@ -87,10 +88,12 @@ def _drawn_from(job: "Job") -> str:
     return "  " + "; ".join([*words, f"rhythms {', '.join(drawn.rhythms)}"])
 
 
-def _tables(job: "Job", names: list[str], found: "Outcomes") -> None:
+def _tables(job: "Job", names: list[str], found: "Outcomes") -> "Table":
+    """Print everything; the verdicts once more, for the report."""
     import numpy as np
     from scipy.stats import binomtest
 
+    from jaxmpc.report.content import Table
     from jaxmpc.status import Status
     from jaxmpc.terminal.tables import number, show
     from tuning.trials import motion_of
@@ -110,6 +113,7 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> None:
         if found.lost[:, c].any():
             reasons.append(f"{name} lost: {', '.join(f'{reason} {cases}' for reason, cases in counts if cases)}")
     told = ("controller", "verdict", "trials", "%", "95 % interval %", "on motions")
+    verdicts_told = Table(told, rows)
     show(f"verdicts on {job.spread.arms} arms", told, rows)
     print("\n".join(reasons))
     rows = []
@@ -147,6 +151,7 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> None:
         ("controller", "delay", "M_s", "at N/m", "GM dB", "PM °", "DM ms", "M_s presliding", "at N/m"),
         margins,
     )
+    return verdicts_told
 
 
 def _margins(name: str, params: "Params", job: "Job") -> list[list[str]]:
@@ -174,12 +179,13 @@ def _margins(name: str, params: "Params", job: "Job") -> list[list[str]]:
     return rows
 
 
-def _files(folder: Path, job: "Job", names: list[str], found: "Outcomes") -> None:
-    from tuning.trials.report import draws, ranked, trials_figure, write_csv, write_trial
+def _files(folder: Path, job: "Job", names: list[str], found: "Outcomes", verdicts: "Table") -> None:
+    from jaxmpc.report.page import write_report
+    from tuning.trials.report import draws, ranked, trials_report, write_csv, write_trial
 
-    written = [folder / "trials.csv", folder / "trials.png"]
+    written = [folder / "trials.csv", folder / "trials.html"]
     write_csv(written[0], job, names, found)
-    trials_figure(written[1], names, found)
+    write_report(trials_report(job, names, found, verdicts), written[1])
     for which, c in (("worst", 0), ("worst-against", 1))[: len(names)]:
         i = ranked(found, c, 1)[0]
         written.append(folder / f"{which}.toml")

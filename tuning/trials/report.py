@@ -1,4 +1,4 @@
-"""What random trials come to: fractions with their intervals, pairs, the worst of them, a table and a figure."""
+"""What random trials come to: fractions with their intervals, pairs, the worst of them, a table and a report."""
 
 import csv
 import io
@@ -10,11 +10,16 @@ import numpy as np
 
 from jaxmpc.experiment import AXES, Experiment
 from jaxmpc.files.sealed import write_atomic
-from jaxmpc.files.toml import write_toml
-from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
+from jaxmpc.files.toml import toml_text, write_toml
+from jaxmpc.quantities import MARGINS, METRICS
+from jaxmpc.report.content import Candidates, Chart, Detail, Mark, Measure, Report, Section, Series, Table, measure
+from jaxmpc.report.influence import influence
 from jaxmpc.status import Status
 from tuning.job.scenarios import describe
-from tuning.trials import LARGEST_ERROR, Job, Outcomes
+from tuning.trials import LARGEST_ERROR, SETTLE, Job, Outcomes
+
+KEPT = 20
+"""Worst trials of each controller that a report keeps as files."""
 
 
 class Pairs(NamedTuple):
@@ -81,35 +86,101 @@ def write_trial(path: Path, trial: Experiment, comment: str) -> None:
     write_toml(path, trial.to_dict(), comment)
 
 
-def trials_figure(path: Path, names: Sequence[str], found: Outcomes) -> None:
-    """Which share of the trials has a larger peak error, and a larger RMS, on the worst axis.
+def trials_report(job: Job, names: Sequence[str], found: Outcomes, verdicts: Table) -> Report:
+    """Every trial a row: what was drawn, and what it did to each controller.
 
     Args:
-        path: Where it goes.
+        job: Draws the trials.
         names: Of the controllers, the one that is judged first.
         found: What happened.
+        verdicts: How often which verdict fell.
     """
-    with figure(path, 1, 2, size=(8.0, 3.2)) as axes:
-        for panel, field, title in zip(axes, (found.peak_error, found.rms), ("largest |e|", "RMS"), strict=True):
-            for c, (name, color) in enumerate(zip(names, (TUNED, BASELINE), strict=False)):
-                # What diverged lies beyond every limit.
-                values = np.sort(np.nan_to_num(field[:, c].max(axis=-1), nan=np.inf))
-                panel.step(values, 1.0 - np.arange(1, len(values) + 1) / len(values), color=color, label=name)
-            panel.set_xscale("log")
-            panel.set_yscale("log")
-            panel.tick_params(axis="x", which="minor", labelbottom=False)
-            panel.set_ylim(0.5 / len(values), 1.0)
-            panel.set_xlabel(f"{title} after 2 s, worst axis [N]")
-        axes[0].axvline(LARGEST_ERROR, color=ACCENT, lw=1.0, ls="--", label="2 N")
-        axes[0].set_ylabel(f"share of {len(found.status)} trials beyond [-]")
-        axes[0].legend()
+    count = len(found.status)
+    shares = Section("Verdicts", [f"{count} trials on {job.spread.arms} arms."], [verdicts], _shares(names, found))
+    lead = [f"{job.base.name}, seed {job.seed}, {job.base.duration:g} s each."]
+    return Report(f"Trials of {' against '.join(names)}", lead, _rows(job, names, found), [shares], 1)
+
+
+def _shares(names: Sequence[str], found: Outcomes) -> list[Chart]:
+    """Which share of the trials has a larger peak error, and a larger RMS, on the worst axis."""
+    charts = []
+    for field, title, marks in (
+        (found.peak_error, "largest |e|", [Mark("2 N", x=LARGEST_ERROR)]),
+        (found.rms, "RMS", []),
+    ):
+        series = []
+        for c, name in enumerate(names):
+            values = np.sort(field[:, c].max(axis=-1))
+            # What diverged lies beyond every limit.
+            share = 1.0 - np.arange(1, len(values) + 1) / len(values)
+            series.append(Series(name, values, share, c))
+        label = f"{title} after {SETTLE:g} s, worst axis [N]"
+        charts.append(Chart(title, label, f"share of {len(found.status)} trials beyond [-]", series, marks, True, True))
+    return charts
+
+
+def _rows(job: Job, names: Sequence[str], found: Outcomes) -> Candidates:
+    """The trials as rows that can be explored; the controllers stand where tissues do elsewhere."""
+    trials = [job.trial(i) for i in range(len(found.status))]
+    columns: dict[str, tuple[str, str, list[float]]] = {
+        "stiffness": ("N/m", "stiffness of the tissue", [one.stiffness[0] for one in trials]),
+        "delay": ("samples", "between command and effect", [one.delay for one in trials]),
+        "mass_error": ("-", "of the masses believed", [one.arm.mass_error for one in trials]),
+        "cable": ("Hz", "mode of the cables", [one.arm.cable_hz for one in trials]),
+        "cable damping": ("-", "of that mode", [one.arm.cable_damping for one in trials]),
+    }
+    for joint in range(4):
+        columns[f"friction J{joint + 1}"] = ("-", "true over believed", [_friction(one, joint) for one in trials])
+    drawn = [
+        Measure(name, name, unit, text, np.array(values, float), "parameter", whole=name == "delay")
+        for name, (unit, text, values) in columns.items()
+        if len(set(values)) > 1
+    ]
+    found_of = {
+        "rms": found.rms,
+        "true_rms": found.true_rms,
+        "peak_error": found.peak_error,
+        "swing": found.swing,
+    }
+    results = [
+        measure(METRICS[name], values, LARGEST_ERROR if name == "peak_error" else None)
+        for name, values in found_of.items()
+    ]
+    radius = measure(MARGINS["spectral_radius"], found.spectral_radius)
+    lost = Measure("lost", "lost", "-", "1 where it was", found.lost.astype(float), "other", "ceiling", whole=True)
+    worst = list(dict.fromkeys(i for c in range(len(names)) for i in ranked(found, c, KEPT)))
+    return Candidates(
+        names=[f"trial {i}" for i in range(len(trials))],
+        measures=[*drawn, *results, radius, lost],
+        status=found.status.astype(np.uint8),
+        tissues=list(names),
+        goals=("rms", "peak_error", "swing"),
+        details={
+            i: Detail(toml=toml_text(trials[i].to_dict(), f"Trial {i}, seed {job.seed}: {draws(trials[i])}"))
+            for i in worst
+        },
+        note=f"the {KEPT} worst trials of each controller, as experiments for `jaxmpc simulate`.",
+        influence=influence(drawn, results) if len(trials) > 1 else {},
+        group="controller",
+        file="trial.toml",
+    )
+
+
+def comment_of(job: Job, number: int) -> str:
+    """What a trial's file says of itself."""
+    return f"Trial {number}, seed {job.seed}: {draws(job.trial(number))}"
+
+
+def _friction(trial: Experiment, joint: int) -> float:
+    arm = trial.arm
+    true, nominal = arm.coulomb[joint], (arm.nominal_coulomb or arm.coulomb)[joint]
+    return true / nominal if nominal else 1.0
 
 
 def _drawn(trial: Experiment) -> list[Any]:
     motion, arm = trial.motion, trial.arm
     name = motion.kind if motion.kind != "rhythm" else f"{motion.rhythm}/{motion.ventilation}"
-    joints = zip(arm.coulomb, arm.nominal_coulomb or arm.coulomb, strict=True)
-    friction = [true / nominal if nominal else 1.0 for true, nominal in joints]
+    friction = [_friction(trial, joint) for joint in range(4)]
     cable = [_short(x) if arm.cable_hz else "" for x in (arm.cable_hz, arm.cable_damping)]
     numbers = [_short(trial.stiffness[0]), trial.delay, _short(arm.mass_error), *map(_short, friction)]
     return [name, motion.seed, *numbers, *cable]

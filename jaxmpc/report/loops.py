@@ -19,10 +19,12 @@ from jaxmpc.world.contact import move as contact_move
 from jaxmpc.world.contact import sense as contact_sense
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.precision import in_float64
-from tuning.objective.measures import STEP_SAMPLES
 
 LOWEST_HZ, POINTS = 0.1, 500
 """Where the curves over frequency begin, and their points up to the Nyquist frequency, in equal ratios."""
+
+STEP_SAMPLES = 512
+"""Length of the answer to a step, from which overshoot is read [samples]."""
 
 _contact = jax.jit(contact_of)
 

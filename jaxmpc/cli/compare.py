@@ -1,0 +1,146 @@
+"""`jaxmpc compare`: controllers side by side: one table with differences, one report with everything overlaid."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxmpc.files.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from jaxmpc.experiment import Experiment
+    from jaxmpc.report.comparison import Contender
+
+MOST = 8
+"""Controllers that one picture can tell apart."""
+FIRST_SEED = 1000
+"""Seed of the first drawn motion; tuners train on others unless told otherwise."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument(
+        "what",
+        nargs="+",
+        metavar="CONTROLLER",
+        help="a published set (text, printed, cautious, family, …), a params.toml, a frozen controller (.npz) or the "
+        "folder of a tuning run; the others are compared with the first; NAME=… gives one another name",
+    )
+    parser.add_argument("--experiment", default="table-1", help="a TOML file, or a published one (table-1)")
+    parser.add_argument(
+        "--seeds", type=int, default=8, help="drawn motions over which differences get their interval; 0: none (8)"
+    )
+    parser.add_argument("--limit", action="store_true", help="also the ratio to the least residual of any linear law")
+    parser.add_argument("-o", "--output", type=Path, default=Path("compare.html"), help="the report (compare.html)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare; 1 where a controller was not OK somewhere.
+
+    Raises:
+        InputError: A controller, the experiment or an argument is wrong.
+    """
+    from jaxmpc.terminal.arguments import experiment_from
+    from jaxmpc.terminal.process import use_all_cores
+
+    if not 1 <= len(args.what) <= MOST:
+        raise InputError("controllers", len(args.what), f"at most {MOST}", "Compare fewer at once.")
+    if not 0 <= args.seeds <= 10_000:
+        raise InputError("--seeds", args.seeds, "in [0, 10000]", "8 are usual; 0 leaves the intervals out.")
+    if args.output.suffix != ".html":
+        raise InputError("-o", args.output, "a file ending in .html", "Rename it.")
+    contenders = named([contender_from(text) for text in args.what])
+    experiment = experiment_from(args.experiment)
+    use_all_cores()
+    from jaxmpc.report.comparison import compared, report_of, table
+    from jaxmpc.report.page import write_report
+    from jaxmpc.status import Status
+    from jaxmpc.terminal.tables import show
+
+    for one in contenders:
+        print(f"{one.name}: {one.origin}")
+    print(f"experiment {experiment.name}: {experiment.duration:g} s, physics {experiment.physics}")
+    seeds = range(FIRST_SEED, FIRST_SEED + args.seeds)
+    ratios = _ratios(contenders, experiment) if args.limit else None
+    found = compared(contenders, experiment, seeds, ratios=ratios, said=_progress)
+    whole = table(found)
+    note = f", differences over {args.seeds} drawn motions ± 95 %, * where that does not hold zero" if seeds else ""
+    show(f"side by side{note}", whole.head, whole.rows)
+    args.output.parent.mkdir(parents=True, exist_ok=True)
+    write_report(report_of(found), args.output)
+    print(f"report: {args.output}")
+    bad = False
+    for one, outcome in zip(contenders, found.outcomes, strict=True):
+        for stiffness, code in zip(experiment.stiffness, outcome.status, strict=True):
+            if (status := Status(int(code))) != Status.OK:
+                bad = True
+                print(f"{one.name}, {stiffness:g} N/m: {status.name}: {status.sentence}")
+    return int(bad)
+
+
+def contender_from(text: str) -> "Contender":
+    """A controller from what the user wrote.
+
+    Raises:
+        InputError: It is none.
+    """
+    from jaxmpc.report.comparison import Contender
+    from jaxmpc.synthesis.params import Params
+    from jaxmpc.terminal.arguments import params_from
+
+    name, equals, rest = text.partition("=")
+    given, place = (name, rest) if equals else ("", text)
+    path = Path(place)
+    if path.is_dir():
+        file = path / "params.toml"
+        if not file.is_file():
+            remedy = "It is written where every goal is met; its report says what was missed."
+            raise InputError("tuning folder", path, "one with a params.toml", remedy)
+        return Contender(given or path.name, Params.from_toml(file), f"tuned, {file}")
+    if path.suffix == ".npz":
+        from deploy.controller.file import ArtifactError, load
+
+        try:
+            artifact = load(path)
+        except (ArtifactError, OSError) as error:
+            raise InputError("controller", path, "a frozen controller", f"{error}.") from None
+        return Contender(given or path.stem, Params.from_dict(artifact.params), f"frozen, {path}")
+    params = params_from(place)
+    if path.suffix == ".toml":
+        return Contender(given or path.stem, params, f"{path}")
+    return Contender(given or place, params, f"the published set {place}")
+
+
+def named(contenders: Sequence["Contender"]) -> "list[Contender]":
+    """The same, each with a name of its own: two files `params.toml` take those of their folders along."""
+    names = [one.name for one in contenders]
+    found = []
+    for k, one in enumerate(contenders):
+        name = one.name if names.count(one.name) == 1 else f"{one.name} ({k + 1})"
+        found.append(one._replace(name=name))
+    return found
+
+
+def _progress(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _ratios(contenders: Sequence["Contender"], experiment: "Experiment") -> "np.ndarray":
+    """Residual over the least of any linear law that keeps the robot's demands, (contenders, stiffness, 3) [-]."""
+    import numpy as np
+
+    from jaxmpc.limit.comparison import cells, left_by
+    from jaxmpc.limit.least import LINES
+    from jaxmpc.spectra.spectrum import spectrum_of
+
+    _progress("looking for the least residual of any linear law …")
+    least = list(cells(experiment))
+    spectrum, path = spectrum_of(experiment, LINES), experiment.loop_path()
+    found = [
+        [left_by(one.params, spectrum, path, cell.stiffness, cell.axis).rms / cell.limit.reached.rms for cell in least]
+        for one in contenders
+    ]
+    return np.array(found).reshape(len(contenders), len(experiment.stiffness), 3)

@@ -1,0 +1,152 @@
+"""`jaxmpc compare`: what it takes, what it finds, what it refuses."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from scipy import stats
+
+from jaxmpc.cli import main
+from jaxmpc.cli.compare import contender_from, named
+from jaxmpc.closed_loops import Outcome
+from jaxmpc.experiment import Experiment
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.toml import write_toml
+from jaxmpc.metrics import Metrics
+from jaxmpc.quantities import MARGINS, METRICS
+from jaxmpc.report.comparison import PER_AXIS, Comparison, Contender, difference, table
+from jaxmpc.report.thinning import thinned
+from jaxmpc.stability import Margins
+from jaxmpc.synthesis.params import Params
+
+SHORT = """\
+name = "short"
+duration = 1.2
+settle = 0.4
+stiffness = [810.0]
+[motion]
+kind = "harmonics"
+[sensor]
+noise = 0.01
+"""
+
+
+@pytest.fixture
+def tuned(tmp_path: Path) -> Path:
+    folder = tmp_path / "first"
+    folder.mkdir()
+    write_toml(folder / "params.toml", {"params": Params.published("cautious").to_dict()})
+    return folder
+
+
+def test_the_interval_is_students() -> None:
+    random = np.random.default_rng(0)
+    first = random.normal(1.0, 0.1, 12)
+    other = first + random.normal(0.05, 0.02, 12)
+    found = difference(first, other)
+    interval = stats.ttest_rel(other, first).confidence_interval(0.95)
+    assert (found.mean - found.half_width, found.mean + found.half_width) == pytest.approx(tuple(interval))
+    assert found.told
+    assert not difference(first, first + np.resize([0.1, -0.1], 12)).told
+
+
+def test_a_motion_that_one_lost_is_no_pair() -> None:
+    first, other = np.array([1.0, np.nan, 2.0, 3.0]), np.array([1.5, 9.0, 2.5, np.nan])
+    assert difference(first, other).mean == 0.5
+    assert np.isnan(difference(first[:1], other[:1]).half_width)
+    assert np.isnan(difference(first[1:2], other[1:2]).mean)
+
+
+def test_a_thinned_curve_keeps_its_peaks() -> None:
+    time = np.arange(25_000) * 1e-3
+    force = np.sin(time)
+    force[12_345], force[777] = 5.0, -4.0
+    x, y = thinned(time, force)
+    assert len(y) <= 700
+    assert (y.max(), y.min()) == (5.0, -4.0)
+    assert (np.diff(x) >= 0.0).all()
+    assert thinned(time[:5], force[:5])[1] is not None
+
+
+def test_controllers_come_from_everywhere(tuned: Path) -> None:
+    assert contender_from("text").params.to_dict() == Params.published("text").to_dict()
+    folder, file = contender_from(str(tuned)), contender_from(f"mine={tuned / 'params.toml'}")
+    assert (folder.name, file.name) == ("first", "mine")
+    assert folder.params.to_dict() == file.params.to_dict() == Params.published("cautious").to_dict()
+    assert [one.name for one in named([file, folder, file])] == ["mine (1)", "first", "mine (3)"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["txt"], "Did you mean 'text'"),
+        (["text", "nowhere.toml"], "nowhere.toml"),
+        (["text", "--experiment", "table"], "table-1"),
+        (["text", "--seeds", "-1"], "--seeds = -1"),
+        (["text", "-o", "report.pdf"], "a file ending in .html"),
+        (["text"] * 9, "at most 8"),
+    ],
+)
+def test_wrong_arguments(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", *arguments]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_without_a_result_and_a_file_that_is_no_controller(tmp_path: Path) -> None:
+    (tmp_path / "false.npz").write_bytes(b"nothing")
+    for path, bound in ((tmp_path, "one with a params.toml"), (tmp_path / "false.npz", "a frozen controller")):
+        with pytest.raises(InputError, match=bound):
+            contender_from(str(path))
+
+
+def made_up(rms: float, random: np.random.Generator) -> tuple[Outcome, Metrics]:
+    """A run on two tissues, and on five drawn motions."""
+    own = Metrics(*(np.full((2, 3), rms) for _ in Metrics._fields))
+    drawn = Metrics(*(rms + random.normal(0.0, 1e-3, (5, 2, 3)) for _ in Metrics._fields))
+    margins = Margins(*(np.full(2, 10.0 * rms) for _ in Margins._fields[:-1]), np.zeros(2, int))
+    return Outcome(own, margins, np.zeros(2, int), np.full(2, np.nan), None), drawn
+
+
+def test_the_table_has_everything_and_the_differences() -> None:
+    random = np.random.default_rng(1)
+    (first, motions), (second, others) = made_up(0.1, random), made_up(0.2, random)
+    experiment = msgspec.structs.replace(Experiment.published("table-1"), stiffness=(375.0, 810.0))
+    contenders = [Contender(name, Params(), "made up") for name in "AB"]
+    drawn = Metrics(*(np.stack(pair) for pair in zip(motions, others, strict=True)))
+    ratios = np.full((2, 2, 3), 1.5)
+    found = table(Comparison(experiment, contenders, [first, second], drawn, [None, None], ratios))
+    assert found.head == ["", "K_s, axis", "A", "B", "B − A"]
+    by_axis, worst = len(PER_AXIS) * 2 * 3, (len(METRICS) - len(PER_AXIS)) * 2
+    assert len(found.rows) == by_axis + worst + len(MARGINS) * 2 + 2 * 3
+    rms = next(row for row in found.rows if row[:2] == ["RMS [mN]", "810 N/m, Z"])
+    apart = stats.ttest_rel(others.rms[:, 1, 2], motions.rms[:, 1, 2])
+    interval = apart.confidence_interval(0.95)
+    half = 0.5e3 * (interval.high - interval.low)
+    middle = 1e3 * (others.rms - motions.rms)[:, 1, 2].mean()
+    assert rms[2:] == ["100.0", "200.0", f"{middle:+.1f} ± {half:.1f} *"]
+    M_s = next(row for row in found.rows if row[0] == "M_s")
+    assert M_s[2:] == ["1.00", "2.00", "+1.00"]
+
+
+@pytest.mark.slow
+def test_a_comparison(
+    tuned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=1")
+    (tmp_path / "short.toml").write_text(SHORT)
+    report = tmp_path / "out" / "compare.html"
+    arguments = ["text", str(tuned), "--experiment", str(tmp_path / "short.toml"), "--seeds", "3", "-o", str(report)]
+    assert main(["compare", *arguments]) == 0
+    said = capsys.readouterr().out
+    lines = [line for line in said.splitlines() if line.strip().startswith("RMS [mN]")]
+    assert len(lines) == 3
+    # Of 97 and 30 mN on Table I the difference is many times its interval.
+    assert all("±" in line and line.rstrip().endswith("*") for line in lines)
+    page = report.read_text(encoding="utf-8")
+    assert page.count('class="chart"') == 3 + 5 + 6
+    assert "first − text" in page
