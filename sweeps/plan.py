@@ -4,13 +4,13 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
 from jaxmpc.files.sealed import LARGEST, digest
 from jaxmpc.quantities import AXES, MARGINS, METRICS, PARAMETERS
 from jaxmpc.synthesis.params import Params
@@ -121,7 +121,9 @@ def make_plan(spec: SweepSpec) -> Plan:
     del experiment["name"]
     _ = spec.experiment.signals
     if file := experiment["motion"]["file"]:
-        experiment["motion"]["file"] = "sha256:" + hashlib.sha256(Path(file).read_bytes()).hexdigest()
+        experiment["motion"]["file"] = (
+            "sha256:" + hashlib.sha256(read_bytes(file, LARGEST_RECORDING, "motion.file")).hexdigest()
+        )
     canonical = {
         "schema": SCHEMA,
         "experiment": experiment,

@@ -13,6 +13,8 @@ from tests.sources import ROOT, SOURCES, Import, imports, module_of, within
 ON_ROBOT = (
     "jaxmpc.__version__",
     "jaxmpc.files.errors",
+    "jaxmpc.files.foreign",
+    "jaxmpc.files.outputs",
     "jaxmpc.law",
     "jaxmpc.files.sealed",
     "jaxmpc.quantities",

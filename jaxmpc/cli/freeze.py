@@ -38,10 +38,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Design, judge, freeze; an unstable controller or one below its floor is refused with exit code 2."""
     from jaxmpc.export.freezing import freeze_controller
+    from jaxmpc.files.outputs import check_file
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
+    check_file("-o", args.output)
     given = {name: getattr(args, name) for name in FLOOR_FLAGS}
     floor = {name: value / MARGINS[name].times for name, value in given.items() if value is not None}
     params, experiment = params_from(args.params), experiment_from(args.experiment)

@@ -5,8 +5,6 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxmpc.files.errors import InputError
-
 if TYPE_CHECKING:
     from jaxmpc.experiment import Experiment
     from jaxmpc.limit.comparison import LimitCell
@@ -36,13 +34,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look for the laws, print, write."""
+    from jaxmpc.files.outputs import check_file
+    from jaxmpc.files.sealed import write_atomic
     from jaxmpc.limit.comparison import cells, told
     from jaxmpc.limit.least import Demands
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.tables import number, show
 
-    if args.output and args.output.suffix != ".json":
-        raise InputError("-o", str(args.output), "a file ending in .json", "Rename it.")
+    check_file("-o", args.output, ".json")
     demands = Demands(args.sensitivity, args.chatter, args.band)
     experiment = experiment_from(args.experiment)
     params = params_from(args.params) if args.params else None
@@ -63,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
         show(f"{args.params}, RMS in mN", (*PLACE, *HEADER, "× limit"), table)
         print(told(found, demands))
     if args.output:
-        args.output.write_text(json.dumps(_plain(experiment.name, demands, found, flights), indent=1) + "\n")
+        text = json.dumps(_plain(experiment.name, demands, found, flights), indent=1) + "\n"
+        write_atomic(args.output, text.encode())
         print(f"written: {args.output}")
     return 0
 

@@ -37,6 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, print, draw; 1 when a stiffness did not end OK."""
+    from jaxmpc.files.outputs import check_folder
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.process import use_all_cores
 
@@ -47,10 +48,12 @@ def run(args: argparse.Namespace) -> int:
 
     params, experiment = params_from(args.params), _with_physics(experiment_from(args.experiment), args.physics)
     folder: Path = args.output or Path("runs") / experiment.name
+    check_folder("-o", folder)
     others = comparison.parts(params) if args.compare else {}
     filmed = None
     if args.video is not None:
         filmed = Path(args.video) if args.video else folder / f"{experiment.name}.mp4"
+        check_folder("--video", filmed.parent)
         check_film(filmed, experiment)
     print(
         f"experiment {experiment.name}: {experiment.duration:g} s, physics {experiment.physics}, "

@@ -1,8 +1,11 @@
 """What an entry point may do to the process, and a library may not: 64-bit JAX, a device per core, a compile cache."""
 
 import os
+import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+from jaxmpc.files.errors import InputError
 
 
 def use_all_cores(cores: int | None = None) -> None:
@@ -14,14 +17,36 @@ def use_all_cores(cores: int | None = None) -> None:
 
     Args:
         cores: Number of devices wanted; None is the number of cores this process may use.
+
+    Raises:
+        InputError: The environment asks for a single device.
     """
     import jax
 
     config: Any = jax.config
     config.update("jax_enable_x64", True)
     _remember_programs(config)
-    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", "") and config.jax_num_cpu_devices < 0:
+    if (set_before := _devices_asked_for(config)) is None:
         config.update("jax_num_cpu_devices", max(2, cores or len(os.sched_getaffinity(0))))
+    elif set_before.number < 2:
+        remedy = "Leave it out: one device computes other last bits than several, so results would have another hash."
+        raise InputError(set_before.key, set_before.number, "at least 2 devices", remedy)
+
+
+class _Devices(NamedTuple):
+    """What somebody else has set."""
+
+    key: str
+    number: int
+
+
+def _devices_asked_for(config: Any) -> _Devices | None:
+    """The device count of XLA_FLAGS, whose last one counts, or of JAX's own option; None where nobody set it."""
+    if found := re.findall(r"--xla_force_host_platform_device_count=(\d+)", os.environ.get("XLA_FLAGS", "")):
+        return _Devices("XLA_FLAGS --xla_force_host_platform_device_count", int(found[-1][:9]))
+    if config.jax_num_cpu_devices >= 0:
+        return _Devices("JAX_NUM_CPU_DEVICES", config.jax_num_cpu_devices)
+    return None
 
 
 def _remember_programs(config: Any) -> None:
@@ -32,7 +57,10 @@ def _remember_programs(config: Any) -> None:
     from jaxmpc.xla import store
 
     if config.jax_compilation_cache_dir is None:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+        if not cache.is_absolute():  # a user without a home, as in many containers, has nowhere to keep them
+            config.update("jax_enable_compilation_cache", False)
+            return
         config.update("jax_compilation_cache_dir", str(cache / "jaxmpc" / "programs"))
     config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
     store.keep_in(Path(config.jax_compilation_cache_dir) / "traced" if config.jax_enable_compilation_cache else None)

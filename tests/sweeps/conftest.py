@@ -63,7 +63,6 @@ def finished(spec: SweepSpec, tmp_path_factory: pytest.TempPathFactory) -> tuple
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
     """`jaxmpc` in this process, from an empty folder; the number of devices is fixed already."""
-    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=1")
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments: object) -> int:
