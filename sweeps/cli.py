@@ -8,7 +8,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, plain_name
+from jaxmpc.files.outputs import check_file, check_folder
 
 if TYPE_CHECKING:
     from sweeps.plan import Plan
@@ -73,7 +74,8 @@ def _sweep(args: argparse.Namespace) -> int:
     from sweeps.spec import SweepSpec
 
     spec = SweepSpec.from_toml(args.what[0])
-    folder = args.out or Path("runs") / spec.name
+    folder = args.out or Path("runs") / plain_name("the spec's name", spec.name)
+    check_folder("-o", folder)
     chunk = args.chunk or CHUNK
     plan = make_plan(spec)
     check_chunk(plan, chunk)
@@ -136,6 +138,8 @@ def _report(args: argparse.Namespace) -> int:
     if not result.complete:
         print(f"jaxmpc sweep: unfinished: {len(result)} of {len(result.plan.rows)} rows", file=sys.stderr)
     out = args.out or folder / "report"
+    check_folder("-o", out)
+    check_file("--csv", args.csv)
     out.mkdir(parents=True, exist_ok=True)
     written = [out / "pareto.png"]
     pareto_figure(result, written[0], max_M_s=limit)

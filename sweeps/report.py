@@ -8,6 +8,7 @@ import numpy as np
 from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
 from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
 from jaxmpc.status import Status
+from jaxmpc.terminal import layout
 from sweeps.heat import heat_map, mapped_axes
 from sweeps.labels import WORST_M_S, WORST_RMS, plain_ticks
 from sweeps.result import Point, Result
@@ -107,7 +108,5 @@ def table(result: Result, n: int = 10, max_M_s: float = 2.0) -> str:
     shown = [*(PARAMETERS[name] for name in swept), *(METRICS[name] for name in RESIDUALS), *MARGINS.values()]
     lines = [["row", *(quantity.heading for quantity in shown)]]
     lines += [[f"{row}", *(f"{value:.4g}" for value in values)] for row, *values in zip(*columns, strict=True)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = ["  ".join(word.rjust(width) for word, width in zip(line, widths, strict=True)) for line in lines]
     title = f"best rows with M_s ≤ {max_M_s:g}; RMS, M_s and margins are the worst over stiffness (and axis)"
-    return "\n".join([title, *text])
+    return f"{title}\n\n{layout.table(lines[0], lines[1:])}"

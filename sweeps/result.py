@@ -36,7 +36,9 @@ class Point(NamedTuple):
 def baseline_of(summary: Mapping[str, Any]) -> Point | None:
     """The baseline in a folder's summary, where an infinity is null."""
     found = summary.get("baseline")
-    return Point(*(np.inf if value is None else value for value in found)) if found else None
+    if not (isinstance(found, list) and len(found) == 2 and all(isinstance(x, float | int | None) for x in found)):
+        return None
+    return Point(*(np.inf if value is None else value for value in found))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ import numpy as np
 
 from jaxmpc import __version__
 from jaxmpc.files.errors import InputError
-from jaxmpc.files.sealed import SealError, canonical_json, digest, seal, unseal, write_atomic
+from jaxmpc.files.foreign import LARGEST_JSON, json_of, read_bytes, read_text
+from jaxmpc.files.sealed import LARGEST, SealError, canonical_json, digest, seal, unseal, write_atomic
 from sweeps.plan import SCHEMA, Columns, Plan
 
 log = logging.getLogger(__name__)
@@ -76,7 +77,13 @@ def read_plan(folder: Path) -> Plan:
         raise InputError("sweep folder", folder, "a folder made by `jaxmpc sweep`", "It has no manifest of a sweep.")
     if digest(manifest["spec"]) != manifest.get("spec_hash"):
         raise InputError("spec_hash", folder / "manifest.json", "that of its spec", "The manifest was changed by hand.")
-    return Plan(manifest["spec"])
+    try:
+        plan = Plan(manifest["spec"])
+        _ = plan.rows, plan.base, plan.layout, plan.stiffness
+    # Its hash is right, so it was written as one of ours, by another version or on purpose.
+    except (InputError, LookupError, TypeError, ValueError) as error:
+        raise InputError("spec", folder / "manifest.json", "that of a sweep", f"It cannot be read: {error}.") from None
+    return plan
 
 
 def check(folder: Path, plan: Plan) -> bool:
@@ -110,7 +117,9 @@ def prepare(folder: Path, plan: Plan) -> None:
         OSError: The folder cannot be written.
     """
     now = environment()
-    known = _read(folder / "manifest.json").get("environments", []) if check(folder, plan) else []
+    known = _read(folder / "manifest.json").get("environments") if check(folder, plan) else []
+    if not isinstance(known, list):
+        raise InputError("environments", known, "a list", "The manifest was changed by hand.", folder / "manifest.json")
     folder.mkdir(parents=True, exist_ok=True)
     if now not in known:
         if known:
@@ -167,10 +176,15 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def _read_chunk(path: Path, plan: Plan) -> tuple[int, int, Columns]:
-    header, arrays = unseal(path.read_bytes())
+    try:
+        header, arrays = unseal(read_bytes(path, LARGEST))
+    except InputError as error:
+        raise SealError(f"{error}") from None
     if header.get("spec_hash") != plan.spec_hash or header.get("schema") != SCHEMA:
         raise SealError("it belongs to another sweep")
-    first, last = header["first"], header["last"]
+    first, last = header.get("first"), header.get("last")
+    if type(first) is not int or type(last) is not int or not 0 <= first < last <= len(plan.rows):
+        raise SealError("it does not say which rows it holds")
     shapes = {name: (column.dtype, (last - first, *column.shape)) for name, column in plan.layout.items()}
     if {name: (values.dtype.str, values.shape) for name, values in arrays.items()} != shapes:
         raise SealError("its columns are not those of this sweep")
@@ -205,7 +219,6 @@ def _pretty(data: Mapping[str, Any]) -> bytes:
 def _read(path: Path) -> dict[str, Any]:
     """A JSON file's table; empty where there is none or it is no such file."""
     try:
-        data = json.loads(path.read_bytes())
-    except (OSError, ValueError):
+        return json_of(read_text(path, LARGEST_JSON), path)
+    except InputError:
         return {}
-    return data if isinstance(data, dict) else {}
