@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.files.outputs import check_file
 
 if TYPE_CHECKING:
     from deploy.controller.artifact import Artifact
@@ -84,13 +85,15 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: There is no such artifact, or an option is out of range.
     """
-    from deploy.controller.file import ArtifactError, from_bytes, read
+    from deploy.controller.file import ArtifactError, check_kind, from_bytes, read
     from deploy.errors import DeployError
     from deploy.loop.watchdog import WatchdogError
 
     if not args.artifact.exists():
         remedy = "Make one with `jaxmpc freeze PARAMS --experiment table-1-wam -o FILE`."
         raise InputError("artifact", args.artifact, "an existing file", remedy)
+    check_kind(args.artifact)
+    check_file("--bus-log", args.bus_log)
     try:
         data = read(args.artifact)
         artifact = from_bytes(data)
