@@ -17,6 +17,7 @@ ON_ROBOT = (
     "jaxmpc.files.outputs",
     "jaxmpc.law",
     "jaxmpc.files.sealed",
+    "jaxmpc.terminal.layout",
     "jaxmpc.quantities",
 )
 ROBOT_MAY_IMPORT = ("can", "numpy", *ON_ROBOT)

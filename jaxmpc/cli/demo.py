@@ -98,7 +98,7 @@ def _paper(text: "Params", printed: "Params") -> None:
             status=outcome.status[i],
         )
         rows += residual_rows(name, one, experiment)
-    show("", RESIDUAL_HEADER, rows)
+    show("", RESIDUAL_HEADER, rows, keys=2)
 
 
 def _sweep(folder: Path) -> "Result":

@@ -56,10 +56,10 @@ def run(args: argparse.Namespace) -> int:
     table = [[*_place(cell), *_entries(cell.limit.reached)] for cell in found]
     for row, flight in zip(table, flights, strict=False):
         row.append(number(MILLI * flight.rms, 1))
-    show("least residual, RMS in mN", (*PLACE, *HEADER, *(["flown"] if flights else [])), table)
+    show("least residual, RMS in mN", (*PLACE, *HEADER, *(["flown"] if flights else [])), table, keys=2)
     if params is not None:
         table = [[*_place(cell), *_entries(cell.yours), number(cell.ratio, 2)] for cell in found if cell.yours]
-        show(f"{args.params}, RMS in mN", (*PLACE, *HEADER, "× limit"), table)
+        show(f"{args.params}, RMS in mN", (*PLACE, *HEADER, "× limit"), table, keys=2)
         print(told(found, demands))
     if args.output:
         text = json.dumps(_plain(experiment.name, demands, found, flights), indent=1) + "\n"

@@ -142,16 +142,16 @@ def _tables(label: str, outcome: "Outcome", compared: dict[str, "Outcome"], expe
     rows = residual_rows(label, outcome, experiment)
     for name, other in compared.items():
         rows += residual_rows(name, other, experiment)
-    show("", RESIDUAL_HEADER, rows)
+    show("", RESIDUAL_HEADER, rows, keys=2)
     show("all that was measured, X / Y / Z", metric_header(experiment), metric_rows(outcome, experiment))
     if experiment.physics != "linear" and (rows := comparison.paper_rows(outcome, experiment)):
-        show("beside the paper's Table I", comparison.PAPER_HEADER, rows)
+        show("beside the paper's Table I", comparison.PAPER_HEADER, rows, keys=2)
         if len(deviation := 100.0 * np.abs(comparison.deviations(outcome, experiment))):
             worst, median = np.max(deviation), np.median(deviation)
             print(f"RMS off Table I: worst cell {worst:.0f} %, median {median:.0f} %\n")
     if compared:
         rows = comparison.reduction_rows(outcome, compared, experiment)
-        show(f"RMS of {label} lower by", comparison.REDUCTION_HEADER, rows)
+        show(f"RMS of {label} lower by", comparison.REDUCTION_HEADER, rows, keys=2)
 
 
 def _figures(folder: Path, experiment: "Experiment", outcome: "Outcome", still: "Outcome") -> int | None:

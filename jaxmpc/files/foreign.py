@@ -53,7 +53,7 @@ def read_bytes(path: str | Path, largest: int = LARGEST_TEXT, key: str | None = 
     except InputError:
         raise
     except OSError as error:
-        raise InputError(named, found, "a readable file", f"{error.strerror}.") from None
+        raise InputError(named, found, "a readable file", f"It cannot be read: {error.strerror}.") from None
     except ValueError:
         raise InputError(named, found, "a path", "No path has a NUL in it.") from None
     if len(data) > largest:

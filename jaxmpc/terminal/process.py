@@ -21,6 +21,8 @@ def use_all_cores(cores: int | None = None) -> None:
     Raises:
         InputError: The environment asks for a single device.
     """
+    # Read when XLA is loaded: its remarks on the machine would land in the middle of a progress bar.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     import jax
 
     config: Any = jax.config

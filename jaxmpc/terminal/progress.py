@@ -31,17 +31,29 @@ def progress(title: str, total: int, unit: str = "rows", enabled: bool = True) -
 
 
 def _bar(title: str, total: int) -> Iterator[Tick]:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.text import Text
 
+    class BarAndNote(Progress):
+        """The bar, and the note on lines of its own, where it wraps between words instead of being cut."""
+
+        def get_renderables(self) -> Iterator[RenderableType]:
+            """The two."""
+            yield self.make_tasks_table(self.tasks)
+            if note := self.tasks[0].fields["note"] if self.tasks else "":
+                yield Text(f"  {note}")
+
+    console = Console(stderr=True)
+    # Title, both counts and the time take what a narrow terminal has; the bar takes the rest.
+    rest = console.width - max(10, len(title)) - 2 * len(f"{total}") - 13
     columns = (
         TextColumn("{task.description:10}"),
-        BarColumn(),
+        BarColumn(bar_width=max(4, min(40, rest))),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with BarAndNote(*columns, console=console) as bar:
         task = bar.add_task(title, total=total, note="")
         yield lambda done, note: bar.update(task, completed=done, note=note)
 
