@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from jaxmpc import described
 from jaxmpc.experiment.reference import Reference, wanted_force
 from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest, plain_name
@@ -81,6 +82,12 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         if self.physics == "mjx" and self.arm.integrator != "euler":
             remedy = 'Set arm.integrator = "euler", which is MuJoCo\'s.'
             raise InputError("arm.integrator", self.arm.integrator, '"euler" on stock MJX', remedy)
+
+    def __repr__(self) -> str:
+        return described.as_text(*described.experiment(self))
+
+    def _repr_html_(self) -> str:
+        return described.as_html(*described.experiment(self))
 
     @property
     def timing(self) -> Timing:

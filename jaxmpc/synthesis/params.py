@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from jaxmpc import described
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 from jaxmpc.synthesis.listening import Listening
@@ -182,6 +183,12 @@ class Params(eqx.Module):
             if knot.knots or knot.guarded or not same:
                 remedy = "Leave architecture, disturbance_order and guarded to the table above it."
                 raise InputError("knots", "of another structure", "of the structure of [params]", remedy)
+
+    def __repr__(self) -> str:
+        return described.as_text(*described.parameters(self))
+
+    def _repr_html_(self) -> str:
+        return described.as_html(*described.parameters(self))
 
     @property
     def structure(self) -> dict[str, Any]:

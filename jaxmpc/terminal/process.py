@@ -27,7 +27,7 @@ def use_all_cores(cores: int | None = None) -> None:
 
     config: Any = jax.config
     config.update("jax_enable_x64", True)
-    _remember_programs(config)
+    remember_programs()
     if (set_before := _devices_asked_for(config)) is None:
         config.update("jax_num_cpu_devices", max(2, cores or len(os.sched_getaffinity(0))))
     elif set_before.number < 2:
@@ -51,16 +51,25 @@ def _devices_asked_for(config: Any) -> _Devices | None:
     return None
 
 
-def _remember_programs(config: Any) -> None:
-    """Keep programs for the next run, compiled and traced, in the user's cache.
+def remember_programs(folder: Path | None = None) -> None:
+    """Keep programs for the next process, compiled and traced, whose first `evaluate` then takes seconds.
 
-    JAX_COMPILATION_CACHE_DIR names another place, JAX_ENABLE_COMPILATION_CACHE=0 keeps none.
+    The command line calls it; a library keeps nothing unless asked to. JAX_COMPILATION_CACHE_DIR names another place,
+    JAX_ENABLE_COMPILATION_CACHE=0 keeps none.
+
+    Args:
+        folder: Where to; None is the user's cache, or nowhere where the user has no home.
     """
+    import jax
+
     from jaxmpc.xla import store
 
-    if config.jax_compilation_cache_dir is None:
+    config: Any = jax.config
+    if folder is not None:
+        config.update("jax_compilation_cache_dir", str(folder))
+    elif config.jax_compilation_cache_dir is None:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-        if not cache.is_absolute():  # a user without a home, as in many containers, has nowhere to keep them
+        if not cache.is_absolute():  # as in many containers
             config.update("jax_enable_compilation_cache", False)
             return
         config.update("jax_compilation_cache_dir", str(cache / "jaxmpc" / "programs"))
