@@ -71,7 +71,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     twin.add_argument("--lockstep", action="store_true", help="run against a twin in this process, in its own time")
     twin.add_argument("--experiment", help="its tissue, heart and arm: a TOML file, or a published experiment")
     twin.add_argument("--stiffness", type=float, metavar="N/M", help="of its tissue (810, or the experiment's)")
-    twin.add_argument("--rhythm", help="of its heart (harmonics, or the experiment's)")
+    twin.add_argument("--rhythm", help="of its heart, or a recording: heart.csv, heart.csv:mm (the experiment's)")
     twin.add_argument(
         "--fault", action="append", default=[], metavar="FAULT", help="as of `jaxmpc twin`, again for more"
     )
@@ -157,7 +157,8 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
         stack.callback(log.close)
         changes["log"] = log.add
     session = Session(artifact, bus, clock, replace(_options(args, artifact), **changes), print)
-    if not (args.lockstep or _armed(args.arm, digest)):
+    # In lock-step nobody need arm it, but who names a controller means that one.
+    if (args.arm is not None or not args.lockstep) and not _armed(args.arm, digest):
         print("jaxmpc run: not armed; nothing moved", file=sys.stderr)
         return 1
     auto = args.lockstep or args.start == "auto"
@@ -182,7 +183,8 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     # Before anything is printed: who reads may be gone, or as slow as he likes.
     saved = session.save(file, digest, ended.safety_state) if args.record or not ended.well else None
     console.close()
-    print(session.statistics.report())
+    # The twin's own time is never late; how long this computer took for it says nothing.
+    print(session.statistics.report(lockstep=args.lockstep))
     print("\n".join([*session.notes(), *(told(ended.well) if told else [])]))
     if log is not None:
         print(log.close())
@@ -229,9 +231,22 @@ def _watched(
 
     def told(well: bool) -> list[str]:
         limit = session.artifact.arm.limits.force
-        return [*residuals.report(), *peaks.report(twin.faults, args.fault, well, twin.now, limit)]
+        guard = _guarded(session.recorder.signals())
+        return [*residuals.report(), *peaks.report(twin.faults, args.fault, well, twin.now, limit), guard]
 
     return watched, told
+
+
+def _guarded(signals: Any) -> str:
+    """What a guard did to the gain in the stretch that the recorder holds."""
+    gain, time = signals["gain"][:, 0], signals["time"][:, 0]
+    known = gain == gain
+    if not known.any() or gain[known].min() > 0.99:
+        return "guard: at rest, the gain stayed whole"
+    lowest = gain[known].argmin()
+    return (
+        f"guard: lowest gain {gain[known][lowest]:.2f} at {time[known][lowest]:.1f} s, {gain[known][-1]:.2f} at the end"
+    )
 
 
 def _armed(given: str | None, digest: str) -> bool:
