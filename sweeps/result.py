@@ -68,6 +68,15 @@ class Result:
         rows = {name: values[there] for name, values in columns.items()}
         return Result(plan, rows, baseline_of(store.read_summary(folder)))
 
+    def __repr__(self) -> str:
+        swept = ", ".join(axis.name for axis in self.plan.space.axes)
+        counts = ", ".join(f"{count} {name}" for name, count in self.status_counts().items() if count)
+        tissues = f"{len(self.plan.stiffness)} stiffnesses [N/m]"
+        return f"Result of a sweep of {swept}\n  {len(self)} rows × {tissues}: {counts}"
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
+
     def __len__(self) -> int:
         return len(self.columns["row"])
 

@@ -65,8 +65,8 @@ def sensitivities_figure(result: TuneResult, found: Sensitivities, path: Path) -
             for (i, j), slope in np.ndenumerate(table):
                 color = "white" if abs(slope) > 0.6 * strongest else "black"
                 panel.text(
-                    j,
-                    i,
+                    j + 0.5,
+                    i + 0.5,
                     f"{slope:+.2f}" if abs(slope) >= 0.005 else "0",
                     ha="center",
                     va="center",

@@ -89,6 +89,8 @@ def trials_figure(path: Path, names: Sequence[str], found: Outcomes) -> None:
         names: Of the controllers, the one that is judged first.
         found: What happened.
     """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     with figure(path, 1, 2, size=(8.0, 3.2)) as axes:
         for panel, field, title in zip(axes, (found.peak_error, found.rms), ("largest |e|", "RMS"), strict=True):
             for c, (name, color) in enumerate(zip(names, (TUNED, BASELINE), strict=False)):
@@ -97,7 +99,10 @@ def trials_figure(path: Path, names: Sequence[str], found: Outcomes) -> None:
                 panel.step(values, 1.0 - np.arange(1, len(values) + 1) / len(values), color=color, label=name)
             panel.set_xscale("log")
             panel.set_yscale("log")
-            panel.tick_params(axis="x", which="minor", labelbottom=False)
+            # Of less than a decade, which has no power of ten in it, the minor ticks are all the numbers there are.
+            panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            panel.xaxis.set_minor_formatter(NullFormatter())
             panel.set_ylim(0.5 / len(values), 1.0)
             panel.set_xlabel(f"{title} after 2 s, worst axis [N]")
         axes[0].axvline(LARGEST_ERROR, color=ACCENT, lw=1.0, ls="--", label="2 N")
