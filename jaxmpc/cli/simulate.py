@@ -31,8 +31,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--physics", choices=("linear", "wam", "mjx"), help="contact loop, arm, or arm on stock MJX")
     parser.add_argument("--compare", action="store_true", help="also run the AOB alone and the MPC alone")
-    parser.add_argument("--video", nargs="?", const="", metavar="FILE.mp4", help="film of the arm (runs/NAME/NAME.mp4)")
-    parser.add_argument("-o", "--output", type=Path, help="folder for the figures (runs/NAME)")
+    parser.add_argument(
+        "--video", nargs="?", const="", metavar="FILE.mp4", help="film of the arm (NAME.mp4 beside the figures)"
+    )
+    parser.add_argument("-o", "--output", type=Path, help="folder for the figures (runs/NAME-PARAMS)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.pictures.film import check_film, film
 
     params, experiment = params_from(args.params), _with_physics(experiment_from(args.experiment), args.physics)
-    folder: Path = args.output or Path("runs") / experiment.name
+    folder: Path = args.output or Path("runs") / f"{experiment.name}-{_label(args.params, params)}"
     check_folder("-o", folder)
     others = comparison.parts(params) if args.compare else {}
     filmed = None
@@ -70,6 +72,14 @@ def run(args: argparse.Namespace) -> int:
     for label, other in compared.items():
         _statuses(f"{label}, ", other, experiment)
     return int(any(int(code) != Status.OK for code in outcome.status))
+
+
+def _label(given: str, params: "Params") -> str:
+    """What a parameter set is called beside others: its published name, or its file's with the start of its hash."""
+    from jaxmpc.files.sealed import digest
+    from jaxmpc.synthesis.params import PUBLISHED
+
+    return given if given in PUBLISHED else f"{Path(given).stem}-{digest(params.to_dict())[:6]}"
 
 
 def simulated(params: "Params", experiment: "Experiment", traced: bool = False) -> "Outcome":
@@ -155,7 +165,7 @@ def _tables(label: str, outcome: "Outcome", compared: dict[str, "Outcome"], expe
 
 
 def _figures(folder: Path, experiment: "Experiment", outcome: "Outcome", still: "Outcome") -> int | None:
-    """Draw what ended well nearest the middle stiffness; its row, or None where nothing did."""
+    """Draw the worst of what ended well; its row, or None where nothing did."""
     from jaxmpc.pictures.experiment_figures import experiment_figure, row_to_draw, spectrum_figure
     from jaxmpc.terminal.tables import show
 
@@ -165,7 +175,8 @@ def _figures(folder: Path, experiment: "Experiment", outcome: "Outcome", still: 
         return None
     path = folder / f"{experiment.name}.png"
     experiment_figure(path, experiment, outcome, still, row)
-    print(f"figure: {path}")
+    others = ", the worst of them" if len(experiment.stiffness) > 1 else ""
+    print(f"figure: {path} ({experiment.stiffness[row]:g} N/m{others})")
     if still is not outcome:
         path = folder / f"{experiment.name}-spectrum.png"
         found = spectrum_figure(path, experiment, outcome, still, row)

@@ -43,7 +43,8 @@ def recording_figure(
         torques.plot(t[clamped], np.zeros(clamped.sum()), "|", color=ACCENT, ms=10.0, label=f"{clamped.sum()} clamped")
         torques.set_ylabel("torque [N m]")
         guard.plot(*outline(t, signals["gain"][:, 0]), color=TUNED, lw=1.0, label="gain left by the guard")
-        guard.set_ylim(-0.05, 1.1)
+        guard.set_ylim(-0.05, 1.05)
+        guard.set_ylim(-0.05, 1.05)
         guard.set_ylabel("gain [-]")
         if "stiffness" in signals and np.any(signals["stiffness"] > 0.0):
             believed = guard.twinx()
@@ -54,7 +55,10 @@ def recording_figure(
         for panel in axes:
             _shade(panel, t, _state(signals, names), named=panel is panels[0])
             panel.set_xlim(t[0], t[-1])
-            panel.legend(loc="upper right", ncols=5, borderaxespad=0.1)
+            # Room above the signals for the legend.
+            low, high = panel.get_ylim()
+            panel.set_ylim(low, high + 0.25 * (high - low))
+            panel.legend(loc="upper right", ncols=6, borderaxespad=0.1, fontsize=8.0)
         for panel in axes[:-1]:
             panel.tick_params(labelbottom=False)
         panels[0].set_title(title, loc="left", pad=18.0)
