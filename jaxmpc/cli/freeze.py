@@ -1,8 +1,10 @@
 """`jaxmpc freeze`: parameters → a sealed controller for the robot."""
 
 import argparse
+import math
 from pathlib import Path
 
+from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import HIGHEST_M_S, MARGINS
 
 FLOOR_FLAGS = {
@@ -45,6 +47,9 @@ def run(args: argparse.Namespace) -> int:
     use_all_cores()
     check_file("-o", args.output)
     given = {name: getattr(args, name) for name in FLOOR_FLAGS}
+    for name, value in given.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise InputError(FLOOR_FLAGS[name], value, "positive and finite", "Leave it out to promise nothing of it.")
     floor = {name: value / MARGINS[name].times for name, value in given.items() if value is not None}
     params, experiment = params_from(args.params), experiment_from(args.experiment)
     artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal, limits=args.limits)

@@ -37,12 +37,13 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.files.outputs import check_file
     from jaxmpc.files.sealed import write_atomic
     from jaxmpc.limit.comparison import cells, told
-    from jaxmpc.limit.least import Demands
+    from jaxmpc.limit.least import Demands, check_demands
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.tables import number, show
 
     check_file("-o", args.output, ".json")
     demands = Demands(args.sensitivity, args.chatter, args.band)
+    check_demands(demands)
     experiment = experiment_from(args.experiment)
     params = params_from(args.params) if args.params else None
     known = f"known to ±{100.0 * demands.band:g} %" if demands.band else "known"

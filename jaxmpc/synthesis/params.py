@@ -237,6 +237,8 @@ class Params(eqx.Module):
         given["knots"] = tuple(Params.from_dict({**shared, **knot}) for knot in tables("knots", given.get("knots", ())))
         if isinstance(listening := given.get("listening"), Mapping):
             given["listening"] = Listening.from_dict(listening)
+        elif not isinstance(listening, Listening | None):
+            raise InputError("listening", listening, "a table", "Put its keys under [params.listening].")
         return Params(**given)
 
     @staticmethod

@@ -1,7 +1,7 @@
 """1500 wrong inputs over all verbs: each ends with 2 and one plain line, writes nothing and takes no 5 s.
 
-They are generated, the same ones every time: wrong words, values, paths, files and tables. In this process, where a call
-costs milliseconds; a sample of them in processes of their own.
+They are generated, the same ones every time: wrong words, values, paths, files and tables. In this process, where a
+call costs milliseconds; a sample of them in processes of their own.
 """
 
 import os
@@ -40,7 +40,7 @@ TABLES = {
         "start": "-1", "fade": '"long"', "rhythm": '"bogus"', "seed": "-1", "knid": '"none"',
     },
     "reference": {"x": '"up"', "y": "[1, 2]", "z": '[{ kind = "rampp" }]', "w": "1", "preview": "3"},
-    "sensor": {"noise": "-1", "lsb": "[1]", "lowpass_hz": '"x"', "seed": "1.5", "nose": "1", "kalman": "1"},
+    "sensor": {"noise": "-1", "lsb": "[1]", "lowpass_hz": '"x"', "seed": "1.5", "nose": "1", "kalman": '"x"'},
     "tissue": {"kind": '"jelly"', "attached": "1", "kindd": "1"},
     "arm": {"posture": "[0]", "cable_hz": "-1", "substeps": "0", "coulomb": '"x"', "integrator": '"rk4"', "tool": "1"},
     "params": {
@@ -152,7 +152,7 @@ def wrong_ranges() -> Iterator[list[str]]:
         yield ["doctor", f"--rate={value}"]
     for flag, values in {
         "--duration": ("-1", "nan", "inf"), "--activate-after": ("-1", "nan"), "--port": ("-1", "70000"),
-        "--stiffness": ("-1", "nan", "0", "1e300"), "--delay": ("0", "-1", "9999999"), "--gap": ("nan", "inf"),
+        "--stiffness": ("-1", "nan", "0", "1e300"), "--delay": ("-1", "9999999"), "--gap": ("nan", "inf"),
         "--tissue": NO_WORD, "--rhythm": (*NO_WORD, "none.csv", "pipe.csv", "folder.csv"), "--experiment": NO_WORD,
         "--fault": ("x", "force", "force:stuck@x", "J9:off@3", ":", "force:stuck@-1", "\x1b[2J"),
     }.items():  # fmt: skip
