@@ -6,6 +6,7 @@ from pathlib import Path
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import HIGHEST_M_S, MARGINS
+from jaxmpc.terminal.progress import said_after
 
 FLOOR_FLAGS = {
     "M_s": "--max-ms",
@@ -52,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(FLOOR_FLAGS[name], value, "positive and finite", "Leave it out to promise nothing of it.")
     floor = {name: value / MARGINS[name].times for name, value in given.items() if value is not None}
     params, experiment = params_from(args.params), experiment_from(args.experiment)
-    artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal, limits=args.limits)
+    with said_after(f"designing {args.params}, judging it on {experiment.name}, recording its golden trace …"):
+        artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal, limits=args.limits)
     loop = "ideal loop" if args.ideal else "loop as it runs"
     worst = max(row["M_s"] for row in artifact.margins)
     print(f"frozen: {args.output} ({args.output.stat().st_size} bytes), K_s {len(artifact.margins)} values, {loop}")

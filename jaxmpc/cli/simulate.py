@@ -1,22 +1,17 @@
 """`jaxmpc simulate`: one experiment, its tables, its figures and, on the arm, its film."""
 
 import argparse
-import sys
-import threading
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from jaxmpc.terminal.progress import said_after
 
 if TYPE_CHECKING:
     from jaxmpc.closed_loops import Outcome
     from jaxmpc.experiment import Experiment
     from jaxmpc.synthesis.params import Params
-
-PATIENCE = 2.0
-"""How long a run is silent [s]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -86,7 +81,7 @@ def simulated(params: "Params", experiment: "Experiment", traced: bool = False) 
     """`evaluate` that waits for the result, as numpy, and says after a while that there is something to wait for."""
     from jaxmpc import evaluate
 
-    with _said_after(PATIENCE, _compiling(params, experiment)):
+    with said_after(_compiling(params, experiment)):
         return _on_host(evaluate(params, experiment, trace=traced))
 
 
@@ -97,7 +92,7 @@ def with_heart_still(params: "Params", experiment: "Experiment") -> tuple["Outco
     if experiment.motion.kind == "none":
         outcome = simulated(params, experiment, traced=True)
         return outcome, outcome
-    with _said_after(PATIENCE, _compiling(params, experiment)), ThreadPoolExecutor(1) as beside:
+    with said_after(_compiling(params, experiment)), ThreadPoolExecutor(1) as beside:
         outcome = evaluate(params, experiment, trace=True)
         # Now compiled, but still running; what another thread asks of JAX runs on another core meanwhile.
         still = beside.submit(evaluate, params, without_motion(experiment), trace=True)
@@ -206,14 +201,3 @@ def _statuses(label: str, outcome: "Outcome", experiment: "Experiment") -> None:
             if status == Status.UNSTABLE and moment:
                 moment = f", force out of bounds{moment}"
             print(f"{label}{stiffness:g} N/m: {status.name}{moment}: {status.sentence}")
-
-
-@contextmanager
-def _said_after(seconds: float, text: str) -> Iterator[None]:
-    timer = threading.Timer(seconds, lambda: print(text, file=sys.stderr, flush=True))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()

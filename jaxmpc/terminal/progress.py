@@ -1,6 +1,7 @@
 """Progress of long work: a bar on a terminal, a plain line now and then elsewhere."""
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,6 +9,8 @@ from contextlib import contextmanager
 Tick = Callable[[int, str], None]
 """Called with the work done so far and a short note."""
 
+PATIENCE = 2.0
+"""How long work is silent [s]."""
 PLAIN_EVERY = 10.0
 """Seconds between two lines where there is no terminal."""
 
@@ -75,3 +78,15 @@ def _lines(title: str, total: int, unit: str) -> Iterator[Tick]:
         sys.stderr.flush()
 
     yield tick
+
+
+@contextmanager
+def said_after(text: str, seconds: float = PATIENCE) -> Iterator[None]:
+    """Say on standard error what is going on, if it takes longer than that [s]."""
+    timer = threading.Timer(seconds, lambda: print(text, file=sys.stderr, flush=True))  # noqa: T201
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
