@@ -28,7 +28,9 @@ def check_file(key: str, path: Path | None, *suffixes: str) -> None:
         if path.exists() and not stat.S_ISREG(path.stat().st_mode):
             raise InputError(key, path, "a file", "A folder or a device is in its place: choose another name.")
         if not path.name or not path.parent.is_dir():
-            raise InputError(key, path, "a file that can be written, in a folder that exists", f"Make {path.parent} first.")
+            raise InputError(
+                key, path, "a file that can be written, in a folder that exists", f"Make {path.parent} first."
+            )
         _check_writable(path.parent)
         if path.exists() and not os.access(path, os.W_OK):
             raise InputError(key, path, "a file that may be written", "Choose another name.")
