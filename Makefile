@@ -11,7 +11,7 @@ DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-oracles test-slow planted-faults lint types robot-test kernel-test bench pins clean
+.PHONY: help demo test test-oracles test-slow planted-faults lint types robot-test kernel-test bench docs pins clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -53,6 +53,10 @@ kernel-test: $(DEV)  ## flights on a kernel's own CAN, in a virtual machine: an 
 bench: $(DEV)  ## throughput of the linear loop and of the arm beside their peers
 	@$(VENV)/bin/python -m benchmarks.sweep_throughput
 	@$(VENV)/bin/python -m benchmarks.arm_throughput
+
+docs: $(DEV)  ## the guides as a site in build/docs, made without a network
+	@$(VENV)/bin/python -m sphinx -q -b html docs build/docs
+	@echo build/docs/index.html
 
 COMPILE = $(UV) pip compile pyproject.toml --python-version 3.11 --universal \
 	--generate-hashes --no-header --no-annotate --quiet $(UV_FLAGS)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from jaxmpc.status import Status
     from jaxmpc.synthesis import design
     from jaxmpc.synthesis.params import Params, Timing
+    from jaxmpc.terminal.process import remember_programs
 
 __version__ = "0.1.0"
 
@@ -28,6 +29,7 @@ _HOME = {
     "design": "jaxmpc.synthesis",
     "evaluate": "jaxmpc.evaluation",
     "margins": "jaxmpc.stability",
+    "remember_programs": "jaxmpc.terminal.process",
 }
 
 __all__ = [
@@ -41,6 +43,7 @@ __all__ = [
     "design",
     "evaluate",
     "margins",
+    "remember_programs",
 ]
 
 
@@ -49,4 +52,11 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'jaxmpc' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(_HOME[name]), name)
+    try:
+        return getattr(import_module(_HOME[name]), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("jaxmpc"):
+            raise
+        # As on a robot, which has numpy and python-can alone.
+        text = f"jaxmpc.{name} needs {error.name}: install the workstation, pip install 'jaxmpc[sim]'"
+        raise ImportError(text, name=name) from None

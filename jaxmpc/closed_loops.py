@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxmpc import described
 from jaxmpc.engine.base import CellResults, ProgramSpec, ScenarioData
 from jaxmpc.engine.registry import choose
 from jaxmpc.law.gains import Gains
@@ -54,6 +55,12 @@ class Outcome(NamedTuple):
     none of these."""
     trace: Sample | ArmSample | None
     """Every sample, shape (…, stiffness, 3, steps), if asked for."""
+
+    def __repr__(self) -> str:
+        return described.as_text(*described.outcome(self))
+
+    def _repr_html_(self) -> str:
+        return described.as_html(*described.outcome(self))
 
 
 def close_loops(params: Params, stiffness: Any, path: LoopPath, width: Any = 1.0) -> ClosedLoops:

@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array, Float
 
+from jaxmpc import described
+
 Lane = Any
 """A scalar, or one per lane."""
 
@@ -72,6 +74,12 @@ class Metrics(NamedTuple):
     swing: Float[Array, "..."]
     """True force above 12 Hz, RMS over the last 10 s of the run [N], see `jaxmpc.swing`; NaN unless `scenario_data` was
     asked for it."""
+
+    def __repr__(self) -> str:
+        return described.as_text(*described.metrics(self))
+
+    def _repr_html_(self) -> str:
+        return described.as_html(*described.metrics(self))
 
 
 def no_sums(like: Lane) -> Sums:

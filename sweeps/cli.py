@@ -7,7 +7,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, nearest, plain_name
+from jaxmpc.files.outputs import check_folder
 from sweeps.show.cli import VERBS, counts, show, show_arguments
 
 if TYPE_CHECKING:
@@ -99,7 +100,8 @@ def _sweep(args: argparse.Namespace) -> int:
     from sweeps.spec import SweepSpec
 
     spec = SweepSpec.from_toml(args.what[0])
-    folder = args.out or Path("runs") / spec.name
+    folder = args.out or Path("runs") / plain_name("the spec's name", spec.name)
+    check_folder("-o", folder)
     with located(args.what[0]):
         plan = make_plan(spec)
     if args.chunk is not None:

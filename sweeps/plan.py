@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
+from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
 from jaxmpc.files.sealed import LARGEST, digest
 from jaxmpc.quantities import AXES, METRICS, PARAMETERS
 from jaxmpc.synthesis.params import Params
@@ -159,7 +160,7 @@ def make_plan(spec: SweepSpec) -> Plan:
     files: dict[str, bytes] = {}
 
     def hashed(file: str) -> str:
-        content = Path(file).read_bytes()
+        content = read_bytes(file, LARGEST_RECORDING, "motion.file")
         name = _SHA + hashlib.sha256(content).hexdigest()
         files[name] = content
         return name

@@ -17,6 +17,7 @@ from jaxmpc.report.page import write_report
 from jaxmpc.report.thinning import thinned
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params, by_structure
+from jaxmpc.terminal import layout
 from sweeps.axis import SweepAxis
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.result import Result
@@ -200,9 +201,7 @@ def table(result: Result, n: int = 10, max_M_s: float | None = None) -> str:
         stable = int((result["status"] == Status.OK).all(axis=1).sum())
         limit = _goal(result, max_M_s).constraints.get("M_s", np.inf)
         return f"no row has M_s ≤ {limit:g} at every stiffness; {stable} of {len(result)} are stable at every one"
-    widths = [max(map(len, column)) for column in zip(head, *lines, strict=True)]
-    text = ["  ".join(map(str.rjust, line, widths)) for line in (head, *lines)]
-    return "\n".join([caption(result, max_M_s), *text])
+    return f"{caption(result, max_M_s)}\n\n{layout.table(head, lines)}"
 
 
 def caption(result: Result, max_M_s: float | None) -> str:

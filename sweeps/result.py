@@ -56,7 +56,9 @@ class Point(NamedTuple):
 def baseline_of(summary: Mapping[str, Any]) -> Point | None:
     """The baseline in a folder's summary, where an infinity is null."""
     found = summary.get("baseline")
-    return Point(*(np.inf if value is None else value for value in found)) if found else None
+    if not (isinstance(found, list) and len(found) == 2 and all(isinstance(x, float | int | None) for x in found)):
+        return None
+    return Point(*(np.inf if value is None else value for value in found))
 
 
 def worst(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
@@ -113,6 +115,15 @@ class Result:
         columns, there = store.read_chunks(folder, plan)
         rows = columns if there.all() else {name: values[there] for name, values in columns.items()}
         return Result(plan, rows, baseline_of(store.read_summary(folder)))
+
+    def __repr__(self) -> str:
+        swept = ", ".join(axis.name for axis in self.plan.space.axes)
+        counts = ", ".join(f"{count} {name}" for name, count in self.status_counts().items() if count)
+        tissues = f"{len(self.plan.stiffness)} stiffnesses [N/m]"
+        return f"Result of a sweep of {swept}\n  {len(self)} rows × {tissues}: {counts}"
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
 
     def __len__(self) -> int:
         return len(self.columns["row"])

@@ -21,7 +21,8 @@ import msgspec
 import numpy as np
 
 from jaxmpc.files.errors import InputError
-from jaxmpc.files.sealed import SealError, canonical_json, digest, seal, unseal, write_atomic
+from jaxmpc.files.foreign import LARGEST_JSON, LARGEST_RECORDING, json_of, read_bytes, read_text
+from jaxmpc.files.sealed import LARGEST, SealError, canonical_json, digest, seal, unseal, write_atomic
 from sweeps.goal import SweepGoal
 from sweeps.machine import environment
 from sweeps.plan import SCHEMA, Columns, Plan
@@ -54,8 +55,14 @@ def read_plan(folder: Path) -> Plan:
     if digest(manifest["spec"]) != manifest.get("spec_hash"):
         raise InputError("spec_hash", folder / "manifest.json", "that of its spec", "The manifest was changed by hand.")
     recordings = (folder / "recordings").glob("[0-9a-f]*")
-    files = {f"sha256:{path.name}": path.read_bytes() for path in recordings}
-    return Plan(manifest["spec"], files, msgspec.convert(manifest.get("goal", {}), SweepGoal))
+    try:
+        files = {f"sha256:{path.name}": read_bytes(path, LARGEST_RECORDING) for path in recordings}
+        plan = Plan(manifest["spec"], files, msgspec.convert(manifest.get("goal", {}), SweepGoal))
+        _ = plan.rows, plan.base, plan.layout, plan.stiffness
+    # Its hash is right, so it was written as one of ours, by another version or on purpose.
+    except (InputError, LookupError, TypeError, ValueError) as error:
+        raise InputError("spec", folder / "manifest.json", "that of a sweep", f"It cannot be read: {error}.") from None
+    return plan
 
 
 def check(folder: Path, plan: Plan) -> bool:
@@ -136,6 +143,8 @@ def prepare(folder: Path, plan: Plan, environments: Sequence[Mapping[str, str]] 
     there = _read(folder / "manifest.json") if check(folder, plan) else {}
     folder.mkdir(parents=True, exist_ok=True)
     known = there.get("environments", [])
+    if not isinstance(known, list):
+        raise InputError("environments", known, "a list", "The manifest was changed by hand.", folder / "manifest.json")
     new = [dict(each) for each in (environments or [environment()]) if each not in known]
     goal = msgspec.to_builtins(plan.goal)
     if new or there.get("goal") != goal:
@@ -235,12 +244,15 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def _read_chunk(path: Path, plan: Plan) -> tuple[int, int, Columns]:
-    header, arrays = unseal(path.read_bytes())
+    try:
+        header, arrays = unseal(read_bytes(path, LARGEST))
+    except InputError as error:
+        raise SealError(f"{error}") from None
     if header.get("spec_hash") != plan.spec_hash or header.get("schema") != SCHEMA:
         raise SealError("it belongs to another sweep")
-    first, last = header["first"], header["last"]
-    if not (isinstance(first, int) and isinstance(last, int) and 0 <= first < last <= len(plan.rows)):
-        raise SealError("its rows are not those of this sweep")
+    first, last = header.get("first"), header.get("last")
+    if type(first) is not int or type(last) is not int or not 0 <= first < last <= len(plan.rows):
+        raise SealError("it does not say which rows it holds")
     shapes = {name: (column.dtype, (last - first, *column.shape)) for name, column in plan.layout.items()}
     if {name: (values.dtype.str, values.shape) for name, values in arrays.items()} != shapes:
         raise SealError("its columns are not those of this sweep")
@@ -275,7 +287,6 @@ def _pretty(data: Mapping[str, Any]) -> bytes:
 def _read(path: Path) -> dict[str, Any]:
     """A JSON file's table; empty where there is none or it is no such file."""
     try:
-        data = json.loads(path.read_bytes())
-    except (OSError, ValueError):
+        return json_of(read_text(path, LARGEST_JSON), path)
+    except InputError:
         return {}
-    return data if isinstance(data, dict) else {}

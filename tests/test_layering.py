@@ -13,8 +13,11 @@ from tests.sources import ROOT, SOURCES, Import, imports, module_of, within
 ON_ROBOT = (
     "jaxmpc.__version__",
     "jaxmpc.files.errors",
+    "jaxmpc.files.foreign",
+    "jaxmpc.files.outputs",
     "jaxmpc.law",
     "jaxmpc.files.sealed",
+    "jaxmpc.terminal.layout",
     "jaxmpc.quantities",
 )
 ROBOT_MAY_IMPORT = ("can", "numpy", *ON_ROBOT)

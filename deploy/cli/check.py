@@ -9,7 +9,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, plain
+from jaxmpc.terminal import layout
 
 if TYPE_CHECKING:
     from deploy.controller.arm_model import ArmModel
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: There is no such file.
     """
-    from deploy.controller.file import ArtifactError, from_bytes, read
+    from deploy.controller.file import ArtifactError, check_kind, from_bytes, read
     from deploy.controller.golden import TOLERANCE, check_golden
     from deploy.controller.recomputed_margins import differences
     from deploy.controller.signature import SignatureError, public_key
@@ -39,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
     path: Path = args.artifact
     if not os.path.lexists(path):
         raise InputError("artifact", path, "an existing file", "Make one with `jaxmpc freeze PARAMS.toml -o FILE`.")
+    check_kind(path)
     key = None if args.require_signature is None else public_key(args.require_signature)
     try:
         data = read(path)
@@ -64,20 +66,20 @@ def run(args: argparse.Namespace) -> int:
     print(f"  schedule    {_schedule(artifact)}")
     print(f"  loop        {_loop(artifact)}")
     for title, table in (("made by", artifact.provenance), ("params", artifact.params)):
-        print(f"  {title:<11} {', '.join(f'{key} {_short(value)}' for key, value in table.items()) or '-'}")
+        print(f"  {title:<11} {', '.join(f'{plain(key)} {_short(value)}' for key, value in table.items()) or '-'}")
     if artifact.arm is not None:
         _print_arm(artifact.arm)
-    print("\n  stiffness  " + "".join(f"{key:>18}" for key in MARGINS))
-    for row in artifact.margins:
-        print(f"  {row['stiffness']:>9g}  " + "".join(f"{row[key]:>18.4g}" for key in MARGINS))
-    if artifact.family is not None:
-        band = 100.0 * artifact.family["band"]
-        print(f"\n  known K̂: with the schedule, the worst where the tissue's stiffness lies within ±{band:g} % of it")
-        for row in artifact.family["rows"]:
-            print(f"  {row['stiffness']:>9.4g}  " + "".join(f"{row[key]:>18.4g}" for key in MARGINS))
     limits = {"spectral_radius": "< 1"}
     limits |= {key: f"{MARGINS[key].sign} {bound:g}" for key, bound in artifact.floor.items()}
-    print(f"  {'limit':<9}  " + "".join(f"{limits.get(key, ''):>18}" for key in MARGINS))
+    header = ["K_s [N/m]", *MARGINS]
+    rows = [[f"{row['stiffness']:g}", *(f"{row[key]:.4g}" for key in MARGINS)] for row in artifact.margins]
+    rows.append(["limit", *(limits.get(key, "") for key in MARGINS)])
+    print(f"\n{layout.table(header, rows)}")
+    if artifact.family is not None:
+        band = 100.0 * artifact.family["band"]
+        rows = [[f"{row['stiffness']:.4g}", *(f"{row[key]:.4g}" for key in MARGINS)] for row in artifact.family["rows"]]
+        print(f"\n  known K̂: with the schedule, the worst where the tissue's stiffness lies within ±{band:g} % of it")
+        print(layout.table(["K̂ [N/m]", *MARGINS], rows))
     print(f"\n  golden trace: {len(artifact.golden_v)} samples replayed,", end=" ")
     torques = f" and {TOLERANCE:g} N m" if artifact.arm else ""
     print(f"deviation {check_golden(artifact):.1e} of the largest command (limit {TOLERANCE:g}{torques})")
@@ -196,5 +198,5 @@ def _list(value: Any) -> str:
 def _short(value: Any) -> str:
     """A value on the same line: long lists by their first entries."""
     if isinstance(value, list) and len(value) > 3:
-        return f"[{', '.join(map(str, value[:3]))}, … {len(value)} in all]"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+        return f"[{', '.join(map(_short, value[:3]))}, … {len(value)} in all]"
+    return f"{value:g}" if isinstance(value, float) else plain(f"{value}", 200)

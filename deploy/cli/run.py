@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from deploy.cli.run_arguments import HASH, check, configure, options
 from jaxmpc.files.errors import InputError
+from jaxmpc.files.outputs import check_file
 
 if TYPE_CHECKING:
     from deploy.controller.artifact import Artifact
@@ -27,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: There is no such artifact, or an option is out of range.
     """
-    from deploy.controller.file import ArtifactError, from_bytes, read
+    from deploy.controller.file import ArtifactError, check_kind, from_bytes, read
     from deploy.controller.signature import SignatureError, public_key, require
     from deploy.errors import DeployError
     from deploy.loop.watchdog import WatchdogError
@@ -35,6 +36,8 @@ def run(args: argparse.Namespace) -> int:
     if not args.artifact.exists():
         remedy = "Make one with `jaxmpc freeze PARAMS --experiment table-1-wam -o FILE`."
         raise InputError("artifact", args.artifact, "an existing file", remedy)
+    check_kind(args.artifact)
+    check_file("--bus-log", args.bus_log)
     key = None if args.require_signature is None else public_key(args.require_signature)
     try:
         data = read(args.artifact)
@@ -102,7 +105,8 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
         stack.callback(log.close)
         changes["log"] = log.add
     session = Session(artifact, bus, clock, replace(options(args, artifact), **changes), print)
-    if not (args.lockstep or _armed(args.arm, digest)):
+    # In lock-step nobody need arm it, but who names a controller means that one.
+    if (args.arm is not None or not args.lockstep) and not _armed(args.arm, digest):
         print("jaxmpc run: not armed; nothing moved", file=sys.stderr)
         return 1
     auto = args.lockstep or args.start == "auto"
@@ -127,7 +131,8 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     # Before anything is printed: who reads may be gone, or as slow as he likes.
     saved = session.save(file, digest, ended.safety_state) if args.record or not ended.well else None
     console.close()
-    print(session.statistics.report())
+    # The twin's own time is never late; how long this computer took for it says nothing.
+    print(session.statistics.report(lockstep=args.lockstep))
     print("\n".join([*session.notes(), *(told(ended.well) if told else [])]))
     if log is not None:
         print(log.close())
@@ -174,9 +179,22 @@ def _watched(
 
     def told(well: bool) -> list[str]:
         limit = session.artifact.arm.limits.force
-        return [*residuals.report(), *peaks.report(twin.faults, args.fault, well, twin.now, limit)]
+        guard = _guarded(session.recorder.signals())
+        return [*residuals.report(), *peaks.report(twin.faults, args.fault, well, twin.now, limit), guard]
 
     return watched, told
+
+
+def _guarded(signals: Any) -> str:
+    """What a guard did to the gain in the stretch that the recorder holds."""
+    gain, time = signals["gain"][:, 0], signals["time"][:, 0]
+    known = gain == gain
+    if not known.any() or gain[known].min() > 0.99:
+        return "guard: at rest, the gain stayed whole"
+    lowest = gain[known].argmin()
+    return (
+        f"guard: lowest gain {gain[known][lowest]:.2f} at {time[known][lowest]:.1f} s, {gain[known][-1]:.2f} at the end"
+    )
 
 
 def _armed(given: str | None, digest: str) -> bool:

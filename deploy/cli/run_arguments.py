@@ -65,7 +65,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     twin.add_argument("--lockstep", action="store_true", help="run against a twin in this process, in its own time")
     twin.add_argument("--experiment", help="its tissue, heart and arm: a TOML file, or a published experiment")
     twin.add_argument("--stiffness", type=float, metavar="N/M", help="of its tissue (810, or the experiment's)")
-    twin.add_argument("--rhythm", help="of its heart (harmonics, or the experiment's)")
+    twin.add_argument("--rhythm", help="of its heart, or a recording: heart.csv, heart.csv:mm (the experiment's)")
     twin.add_argument(
         "--fault", action="append", default=[], metavar="FAULT", help="as of `jaxmpc twin`, again for more"
     )

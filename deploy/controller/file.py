@@ -117,6 +117,21 @@ def load(path: Path | str, *, expect_rate: float | None = None, expect_robot: st
     return artifact
 
 
+def check_kind(path: Path) -> None:
+    """Refuse by its name or kind what cannot be a controller, and say what makes one of it.
+
+    Raises:
+        InputError: It is a folder or a device, or a file of parameters.
+    """
+    if path.suffix == ".toml":
+        remedy = (
+            f"It holds parameters: `jaxmpc freeze {path} --experiment table-1-wam -o controller.npz` makes one of it."
+        )
+        raise InputError("artifact", path, "a frozen controller (.npz)", remedy)
+    if path.exists() and not path.is_file():
+        raise InputError("artifact", path, "a file", "It is a folder or a device.")
+
+
 def is_artifact(path: Path) -> bool:
     """Whether a file is an intact artifact of any version, so that freezing may replace it."""
     try:

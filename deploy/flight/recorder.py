@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.foreign import read_bytes
 from jaxmpc.files.sealed import LARGEST, SealError, seal, unseal, write_atomic
 
 SCHEMA, VERSION = "jaxmpc flight recording", 1
@@ -181,10 +183,9 @@ def read(path: Path | str) -> FlightRecording:
         RecordingError: It cannot be read, was changed, or is no recording.
     """
     try:
-        with open(path, "rb") as file:
-            header, signals = unseal(file.read(LARGEST + 1))
-    except OSError as error:
-        raise RecordingError(f"{path}: it cannot be read: {error.strerror}") from None
+        header, signals = unseal(read_bytes(path, LARGEST, "recording"))
+    except InputError as error:
+        raise RecordingError(f"{error}".rstrip(".")) from None
     except SealError as error:
         raise RecordingError(f"{path}: {error}") from None
     if header.get("schema") != SCHEMA:

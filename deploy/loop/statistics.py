@@ -124,8 +124,16 @@ class Statistics:
             name = "others"
         names[name] = names.get(name, 0) + 1
 
-    def report(self) -> str:
-        """All of it, as text."""
+    def report(self, lockstep: bool = False) -> str:
+        """All of it, as text.
+
+        Args:
+            lockstep: Whether time was the twin's, which no computer is late for: only events are told then.
+        """
+        if lockstep:
+            return "\n".join(
+                [f"{self.compute.count} cycles of {self.period / 1e3:g} µs, in lock-step", *self._events()]
+            )
         cycles, mean = self.compute.count, self.periods.mean
         achieved = f", {1e6 / mean:.2f} Hz achieved" if mean > 0.0 else ""
         lines = [f"{cycles} cycles of {self.period / 1e3:g} µs wanted{achieved}"]
@@ -135,7 +143,10 @@ class Statistics:
         for name in ("periods", "lateness", "compute"):
             lines += [f"{name:<12}{getattr(self, name).summary()}"]
         lines += [f"overruns {self.overruns} (cycles that ended after the next deadline), cycles missed {self.missed}"]
-        for kind, names in sorted(self.counts.items()):
-            found = sorted(names.items(), key=lambda item: (-item[1], item[0]))
-            lines += [f"{kind} " + ", ".join(f"{name} {count}" for name, count in found)]
-        return "\n".join([*lines, "lateness [µs]", *self.lateness.rows()])
+        return "\n".join([*lines, *self._events(), "lateness [µs]", *self.lateness.rows()])
+
+    def _events(self) -> list[str]:
+        ordered = {
+            kind: sorted(names.items(), key=lambda each: (-each[1], each[0])) for kind, names in self.counts.items()
+        }
+        return [f"{kind} " + ", ".join(f"{name} {n}" for name, n in found) for kind, found in sorted(ordered.items())]

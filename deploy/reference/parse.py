@@ -2,14 +2,13 @@
 
 import math
 import os
-import tomllib
 from pathlib import Path
-from typing import Any
 
 from deploy.reference.segments import Segments, check_size, from_table, from_words
 from deploy.reference.sources import ConstantForce, ForceTable, Lines, Source
 from deploy.reference.stream import LARGEST, RATE
 from jaxmpc.files.errors import InputError
+from jaxmpc.files.foreign import read_text, toml_of
 from jaxmpc.law.vectors import Vector3
 
 _LARGEST_FILE = 16 * 2**20
@@ -53,10 +52,7 @@ def toml_file(path: Path, *, rate: float, largest: float) -> Segments:
     Raises:
         InputError: It cannot be read, has no such table, or asks for more than the limits.
     """
-    try:
-        data: dict[str, Any] = tomllib.loads(_text_of(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError("TOML", str(error), "a file of an experiment", "Correct it there.").at(path) from None
+    data = toml_of(read_text(path), path)
     if not isinstance(table := data.get("reference"), dict):
         raise InputError("reference", "missing", "a table [reference]", "For example z = -5.0 in it.").at(path)
     try:
@@ -74,7 +70,7 @@ def csv_file(path: Path, *, rate: float, largest: float) -> ForceTable:
     """
     times: list[float] = []
     forces: list[Vector3] = []
-    for line, text in enumerate(_text_of(path).splitlines(), start=1):
+    for line, text in enumerate(read_text(path, _LARGEST_FILE, "reference").splitlines(), start=1):
         cells = [cell.strip() for cell in text.split(",")]
         if line == 1:
             if cells != ["t", "x", "y", "z"]:
@@ -103,19 +99,6 @@ def csv_file(path: Path, *, rate: float, largest: float) -> ForceTable:
     if not times:
         raise InputError("rows", 0, "at least one", "A single row is a constant force.").at(path)
     return ForceTable(times, forces, path.name)
-
-
-def _text_of(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            data = file.read(_LARGEST_FILE + 1)
-        if len(data) > _LARGEST_FILE:
-            raise InputError("size", "more bytes", f"at most {_LARGEST_FILE}", "Thin the rows out.").at(path)
-        return data.decode("utf-8-sig")
-    except OSError as error:
-        raise InputError("reference", path, "a readable file", f"It cannot be read: {error.strerror}.") from None
-    except UnicodeDecodeError:
-        raise InputError("encoding", "not UTF-8", "UTF-8", "Save it as plain text.").at(path) from None
 
 
 def _number(text: str) -> float:

@@ -30,7 +30,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--stiffness", type=float, metavar="N/m", help="of the tissue (810, or the experiment's)")
     parser.add_argument("--tissue", help="elastic, kelvin-voigt, standard-linear, … (elastic, or the experiment's)")
     parser.add_argument("--touching", action="store_true", help="the tissue does not hold the tip")
-    parser.add_argument("--rhythm", help="harmonics, none, steady, premature, … (harmonics, or the experiment's)")
+    parser.add_argument(
+        "--rhythm", help="harmonics, steady, …, or a recording: heart.csv, heart.csv:mm (the experiment's)"
+    )
     parser.add_argument("--gap", type=float, default=0.02, metavar="M", help="height above the tissue (0.02)")
     parser.add_argument("--delay", type=int, metavar="MS", help="from a torque frame to its action (1)")
     parser.add_argument(

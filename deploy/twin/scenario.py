@@ -25,15 +25,20 @@ SENSOR = ("noise", "lsb", "lowpass_hz")
 
 
 def motion_named(name: str, seed: int = 0) -> Motion:
-    """The seven peaks of the paper's Fig. 4, a heart at rest, a rhythm, or the motion of a published scenario.
+    """The seven peaks of the paper's Fig. 4, a heart at rest, a rhythm, a published scenario's motion, or a recording.
 
     Args:
-        name: One of `HEARTS`, `RHYTHMS` and `SCENARIOS`.
+        name: One of `HEARTS`, `RHYTHMS` and `SCENARIOS`; or a file, `heart.csv`, of millimetres `heart.csv:mm`, which
+            repeats.
         seed: What all that is drawn comes from.
 
     Raises:
         InputError: There is no such name.
     """
+    file, _, unit = name.partition(":")
+    if file.endswith((".csv", ".npz")):
+        found = {"kind": "recording", "file": file, "unit": unit or "m", "repeat": True}
+        return convert(found, Motion, "motion")
     _one_of("rhythm", name, (*HEARTS, *RHYTHMS, *SCENARIOS))
     if name in HEARTS:
         return convert({"kind": name}, Motion, "motion")
@@ -85,14 +90,15 @@ def twin_settings(
 
 def _of_experiment(name: str) -> dict[str, Any]:
     """Settings of the world in an experiment; of the controller's share in it the twin knows nothing."""
-    path = Path(name) if name.endswith(".toml") else _published(name)
+    path = Path(name) if name.endswith(".toml") or "/" in name or Path(name).is_file() else _published(name)
     data = read_toml(path)
     with located(path):
         arm: ArmSettings = _table(data, "arm", ArmSettings)
         tissue: TissueSettings = _table(data, "tissue", TissueSettings)
         motion: Motion = _table(data, "motion", Motion)
         if motion.file:
-            motion = replace(motion, file=str(path.parent / motion.file))
+            # A flight has no end that a recording could be long enough for: it rests for a second and begins again.
+            motion = replace(motion, file=str(path.parent / motion.file), repeat=True)
         settings: dict[str, Any] = {"tissue": tissue, "motion": motion, "posture": arm.resting()}
         settings |= {key: getattr(arm, key) for key in ARM}
         sensor = {key: data.get("sensor", {}).get(key) for key in SENSOR}

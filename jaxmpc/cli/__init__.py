@@ -1,6 +1,6 @@
 """The command line: a table of verbs, each a module that is imported when it is called."""
 
-import argparse
+import errno
 import os
 import select
 import sys
@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NamedTuple
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, nearest, plain
+from jaxmpc.terminal.parser import CommandParser
 
 
 class Verb(NamedTuple):
@@ -45,51 +46,95 @@ VERBS = {
     "replay": Verb(
         "jaxmpc.cli.replay", "a flight recording through the frozen controller once more: where do they part?"
     ),
+    "list": Verb(
+        "jaxmpc.cli.listing", "names that the other verbs know: experiments, parameters, jobs, rhythms, tissues"
+    ),
+    "completion": Verb("jaxmpc.cli.completion", "a script with which bash, zsh or tcsh completes verbs and options"),
 }
 
 
-_WORKSTATION = ("jax", "equinox", "optax", "msgspec", "mujoco", "tomli_w", "rich", "matplotlib", "scipy")
+_WORKSTATION = (
+    *("jax", "jaxtyping", "equinox", "optax", "msgspec", "mujoco", "tomli_w", "rich", "matplotlib", "scipy", "shtab"),
+)
 """What is missing where only the robot's packages are."""
+_WRONG_INPUT = (
+    *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EISDIR, errno.ENOTDIR, errno.ENAMETOOLONG, errno.ELOOP),
+    *(errno.EROFS, errno.EEXIST, errno.ENXIO),
+)
+"""Errors of the system that another path would not have; a full disk is none."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; exit code 0: done, 1: the job failed, 2: wrong input, 130: interrupted, 141: nobody reads."""
     argv = list(sys.argv[1:] if argv is None else argv)
-    parser = argparse.ArgumentParser(
-        prog="jaxmpc",
-        description="Tune a cascade MPC-AOB force controller in simulation and take it to the robot.",
-        epilog="`jaxmpc VERB --help` says more of each.",
-    )
-    parser.add_argument("--version", action="version", version=_version())
-    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     chosen = next((word for word in argv if not word.startswith("-")), None)
-    for name, verb in VERBS.items():
-        subparser = subparsers.add_parser(name, help=verb.text, description=verb.text[0].upper() + verb.text[1:] + ".")
-        if name == chosen:
-            module = import_module(verb.module)
-            module.configure(subparser)
-    args = parser.parse_args(argv)
+    parser = _parser([chosen])
+    if chosen is None:
+        parser.check_options(argv)
+        parser.parse_args(argv)
+        parser.print_help()
+        return 0
+    if chosen not in VERBS:
+        parser.error(f"{plain(chosen, 80)}: must be a verb. {nearest(chosen, list(VERBS))}")
     try:
-        code = int(module.run(args))
-        sys.stdout.flush()
-        return code
+        return _run(chosen, parser, argv)
     except InputError as error:
-        print(f"jaxmpc {args.verb}: {error}", file=sys.stderr)
-        return 2
+        return _told(chosen, f"{error}", 2)
     except ModuleNotFoundError as error:
         if error.name not in _WORKSTATION:
             raise
-        print(f"jaxmpc {args.verb}: it needs {error.name}: install the workstation, jaxmpc[sim]", file=sys.stderr)
-        return 2
+        return _told(chosen, f"it needs {error.name}: install the workstation, jaxmpc[sim]", 2)
     except KeyboardInterrupt:
-        print(f"\njaxmpc {args.verb}: interrupted", file=sys.stderr)
-        return 130
+        return _told(chosen, "interrupted", 130)
     except BrokenPipeError:
         if not _unread(sys.stdout.fileno()):
             raise
         # Who reads has had enough, as `head` has; what Python still wants to flush at its end goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _told(chosen, f"{where}{error.strerror or error}", 2 if error.errno in _WRONG_INPUT else 1)
+    except MemoryError:
+        return _told(chosen, "there is not enough memory for it", 1)
+
+
+def _run(verb: str, parser: CommandParser, argv: Sequence[str]) -> int:
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that cannot show ≤ shows ?; it is no reason to stop.
+        if reconfigure := getattr(stream, "reconfigure", None):
+            reconfigure(errors="replace")
+    args = parser.parse_args(argv)
+    code = int(import_module(VERBS[verb].module).run(args))
+    sys.stdout.flush()
+    return code
+
+
+def whole_parser() -> CommandParser:
+    """The parser with the arguments of every verb, which imports them all."""
+    return _parser(list(VERBS))
+
+
+def _parser(configured: Sequence[str | None]) -> CommandParser:
+    """A parser of all verbs, with the arguments of some."""
+    parser = CommandParser(
+        prog="jaxmpc",
+        description="Tune a cascade MPC-AOB force controller in simulation and take it to the robot.",
+        epilog="`jaxmpc VERB --help` says more of each; `jaxmpc demo` shows what it is about.",
+    )
+    parser.add_argument("--version", action="version", version=_version())
+    subparsers = parser.add_subparsers(dest="verb", metavar="VERB")
+    for name, verb in VERBS.items():
+        subparser = subparsers.add_parser(name, help=verb.text, description=verb.text[0].upper() + verb.text[1:] + ".")
+        if name in configured:
+            import_module(verb.module).configure(subparser)
+    return parser
+
+
+def _told(verb: str, text: str, code: int) -> int:
+    sys.stdout.flush()
+    print(f"jaxmpc {verb}: {plain(text)}", file=sys.stderr)
+    return code
 
 
 def _unread(descriptor: int) -> bool:

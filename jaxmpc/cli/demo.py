@@ -34,6 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Tell the story; 1 when the tuner met no goals, or the flight ended otherwise or is not repeated by its replay."""
+    from jaxmpc.files.outputs import check_folder
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
@@ -41,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
 
     began = time.monotonic()
     folder: Path = args.output
+    check_folder("-o", folder)
     folder.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(1) as beside:
         # What takes longest is compiling, which goes on beside the rest.
@@ -96,7 +98,7 @@ def _paper(text: "Params", printed: "Params") -> None:
             status=outcome.status[i],
         )
         rows += residual_rows(name, one, experiment)
-    show("", RESIDUAL_HEADER, rows)
+    show("", RESIDUAL_HEADER, rows, keys=2)
 
 
 def _sweep(folder: Path) -> "Result":

@@ -1,9 +1,12 @@
 """`jaxmpc freeze`: parameters → a sealed controller for the robot."""
 
 import argparse
+import math
 from pathlib import Path
 
+from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import HIGHEST_M_S, MARGINS
+from jaxmpc.terminal.progress import said_after
 
 FLOOR_FLAGS = {
     "M_s": "--max-ms",
@@ -38,14 +41,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Design, judge, freeze; an unstable controller or one below its floor is refused with exit code 2."""
     from jaxmpc.export.freezing import freeze_controller
+    from jaxmpc.files.outputs import check_file
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
+    check_file("-o", args.output)
     given = {name: getattr(args, name) for name in FLOOR_FLAGS}
+    for name, value in given.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise InputError(FLOOR_FLAGS[name], value, "positive and finite", "Leave it out to promise nothing of it.")
     floor = {name: value / MARGINS[name].times for name, value in given.items() if value is not None}
     params, experiment = params_from(args.params), experiment_from(args.experiment)
-    artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal, limits=args.limits)
+    with said_after(f"designing {args.params}, judging it on {experiment.name}, recording its golden trace …"):
+        artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal, limits=args.limits)
     loop = "ideal loop" if args.ideal else "loop as it runs"
     worst = max(row["M_s"] for row in artifact.margins)
     print(f"frozen: {args.output} ({args.output.stat().st_size} bytes), K_s {len(artifact.margins)} values, {loop}")

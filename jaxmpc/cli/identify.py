@@ -22,10 +22,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Identify, print, write, draw."""
+    from jaxmpc.files.outputs import check_file
     from jaxmpc.identify.identification import identify, read_recording, write
 
-    if args.figure and args.figure.suffix not in SUFFIXES:
-        raise InputError("--figure", str(args.figure), f"a file ending in {', '.join(SUFFIXES)}", "Rename it.")
+    check_file("-o", args.output)
+    check_file("--figure", args.figure, *SUFFIXES)
     recording = read_recording(args.recording)
     try:
         found = identify(recording)

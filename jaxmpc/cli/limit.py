@@ -5,8 +5,6 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxmpc.files.errors import InputError
-
 if TYPE_CHECKING:
     from jaxmpc.experiment import Experiment
     from jaxmpc.limit.comparison import LimitCell
@@ -36,14 +34,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look for the laws, print, write."""
+    from jaxmpc.files.outputs import check_file
+    from jaxmpc.files.sealed import write_atomic
     from jaxmpc.limit.comparison import cells, told
-    from jaxmpc.limit.least import Demands
+    from jaxmpc.limit.least import Demands, check_demands
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.tables import number, show
 
-    if args.output and args.output.suffix != ".json":
-        raise InputError("-o", str(args.output), "a file ending in .json", "Rename it.")
+    check_file("-o", args.output, ".json")
     demands = Demands(args.sensitivity, args.chatter, args.band)
+    check_demands(demands)
     experiment = experiment_from(args.experiment)
     params = params_from(args.params) if args.params else None
     known = f"known to ±{100.0 * demands.band:g} %" if demands.band else "known"
@@ -57,13 +57,14 @@ def run(args: argparse.Namespace) -> int:
     table = [[*_place(cell), *_entries(cell.limit.reached)] for cell in found]
     for row, flight in zip(table, flights, strict=False):
         row.append(number(MILLI * flight.rms, 1))
-    show("least residual, RMS in mN", (*PLACE, *HEADER, *(["flown"] if flights else [])), table)
+    show("least residual, RMS in mN", (*PLACE, *HEADER, *(["flown"] if flights else [])), table, keys=2)
     if params is not None:
         table = [[*_place(cell), *_entries(cell.yours), number(cell.ratio, 2)] for cell in found if cell.yours]
-        show(f"{args.params}, RMS in mN", (*PLACE, *HEADER, "× limit"), table)
+        show(f"{args.params}, RMS in mN", (*PLACE, *HEADER, "× limit"), table, keys=2)
         print(told(found, demands))
     if args.output:
-        args.output.write_text(json.dumps(_plain(experiment.name, demands, found, flights), indent=1) + "\n")
+        text = json.dumps(_plain(experiment.name, demands, found, flights), indent=1) + "\n"
+        write_atomic(args.output, text.encode())
         print(f"written: {args.output}")
     return 0
 

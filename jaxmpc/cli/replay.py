@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, plain
 
 if TYPE_CHECKING:
     from deploy.flight.recorder import FlightRecording
@@ -22,6 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--report", type=Path, metavar="HTML", help="every signal that flew, and what was computed anew over it"
     )
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the flight: forces, states, clamps, guard")
     parser.add_argument("--tolerance", type=float, default=1e-9, help="share of the largest value (1e-9)")
 
 
@@ -35,7 +36,9 @@ def run(args: argparse.Namespace) -> int:
     from deploy.controller.runtimes import flown_controller
     from deploy.flight.recorder import RecordingError, read
     from deploy.flight.replay import compare, inputs_of, table, through_runtime
+    from jaxmpc.files.outputs import check_file
 
+    check_file("--picture", args.picture, ".png", ".svg", ".pdf")
     if not 0.0 < args.tolerance < 1.0:
         raise InputError("--tolerance", args.tolerance, "in (0, 1)", "Rounding stays below 1e-12.")
     try:
@@ -72,9 +75,15 @@ def run(args: argparse.Namespace) -> int:
         print(f"\nreport: {args.report}")
     if parted:
         first = min(parted, key=lambda row: row.first)
-        print(f"\nthey part: first {first.signal} at {first.first:.3f} s, by {first.by:.3g} {first.unit}")
+        verdict = f"they part: first {first.signal} at {first.first:.3f} s, by {first.by:.3g} {first.unit}"
     else:
-        print("\nthe same, within the tolerance")
+        verdict = "the same, within the tolerance"
+    print(f"\n{verdict}")
+    if args.picture and find_spec("matplotlib"):
+        _draw(args.picture, recording, f"replayed: {verdict}")
+        print(f"picture: {args.picture}")
+    elif args.picture:
+        print("picture: none, matplotlib is not installed here: install the workstation, jaxmpc[sim]")
     return 1 if parted else 0
 
 
@@ -85,7 +94,19 @@ def _introduce(recording: "FlightRecording", inputs: "RecordedInputs") -> None:
     if len(inputs.time):
         length += f", {inputs.time[0]:.3f} to {inputs.time[-1]:.3f} s"
     print(f"recording: {length}, {int(inputs.contact.sum())} in contact")
-    print(f"written because: {header.get('reason') or '-'}")
+    print(f"written because: {plain(str(header.get('reason') or '-'), 200)}")
     missing = int((inputs.contact & (inputs.force != inputs.force).any(axis=1)).sum())
     if missing:
-        print(f"forces missing in contact, bridged: {missing}")
+        print(
+            f"forces missing in contact, bridged: {missing} (rows of NaN: the sensor gave none, the law predicted it)"
+        )
+
+
+def _draw(path: Path, recording: "FlightRecording", parted: str) -> None:
+    """The flight, and below it what the replay found."""
+    from jaxmpc.pictures.recording_figure import recording_figure
+
+    header, names = recording.header, recording.header.get("names")
+    why = " ".join(plain(f"{header.get(key) or ''}", 80) for key in ("reason", "detail")).strip() or "as it was to"
+    title = f"flight with {plain(str(header.get('artifact')), 80)[:12]}…, ended: {why}"
+    recording_figure(path, recording.signals, names if isinstance(names, dict) else {}, title, parted)

@@ -1,22 +1,17 @@
 """`jaxmpc simulate`: one experiment, its tables, its figures and, on the arm, its film."""
 
 import argparse
-import sys
-import threading
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from jaxmpc.terminal.progress import said_after
 
 if TYPE_CHECKING:
     from jaxmpc.closed_loops import Outcome
     from jaxmpc.experiment import Experiment
     from jaxmpc.synthesis.params import Params
-
-PATIENCE = 2.0
-"""How long a run is silent [s]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,12 +26,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--physics", choices=("linear", "wam", "mjx"), help="contact loop, arm, or arm on stock MJX")
     parser.add_argument("--compare", action="store_true", help="also run the AOB alone and the MPC alone")
-    parser.add_argument("--video", nargs="?", const="", metavar="FILE.mp4", help="film of the arm (runs/NAME/NAME.mp4)")
-    parser.add_argument("-o", "--output", type=Path, help="folder for the figures (runs/NAME)")
+    parser.add_argument(
+        "--video", nargs="?", const="", metavar="FILE.mp4", help="film of the arm (NAME.mp4 beside the figures)"
+    )
+    parser.add_argument("-o", "--output", type=Path, help="folder for the figures (runs/NAME-PARAMS)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, print, draw; 1 when a stiffness did not end OK."""
+    from jaxmpc.files.outputs import check_folder
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.process import use_all_cores
 
@@ -46,11 +44,13 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.pictures.film import check_film, film
 
     params, experiment = params_from(args.params), _with_physics(experiment_from(args.experiment), args.physics)
-    folder: Path = args.output or Path("runs") / experiment.name
+    folder: Path = args.output or Path("runs") / f"{experiment.name}-{_label(args.params, params)}"
+    check_folder("-o", folder)
     others = comparison.parts(params) if args.compare else {}
     filmed = None
     if args.video is not None:
         filmed = Path(args.video) if args.video else folder / f"{experiment.name}.mp4"
+        check_folder("--video", filmed.parent)
         check_film(filmed, experiment)
     print(
         f"experiment {experiment.name}: {experiment.duration:g} s, physics {experiment.physics}, "
@@ -69,11 +69,19 @@ def run(args: argparse.Namespace) -> int:
     return int(any(int(code) != Status.OK for code in outcome.status))
 
 
+def _label(given: str, params: "Params") -> str:
+    """What a parameter set is called beside others: its published name, or its file's with the start of its hash."""
+    from jaxmpc.files.sealed import digest
+    from jaxmpc.synthesis.params import PUBLISHED
+
+    return given if given in PUBLISHED else f"{Path(given).stem}-{digest(params.to_dict())[:6]}"
+
+
 def simulated(params: "Params", experiment: "Experiment", traced: bool = False) -> "Outcome":
     """`evaluate` that waits for the result, as numpy, and says after a while that there is something to wait for."""
     from jaxmpc import evaluate
 
-    with _said_after(PATIENCE, _compiling(params, experiment)):
+    with said_after(_compiling(params, experiment)):
         return _on_host(evaluate(params, experiment, trace=traced))
 
 
@@ -84,7 +92,7 @@ def with_heart_still(params: "Params", experiment: "Experiment") -> tuple["Outco
     if experiment.motion.kind == "none":
         outcome = simulated(params, experiment, traced=True)
         return outcome, outcome
-    with _said_after(PATIENCE, _compiling(params, experiment)), ThreadPoolExecutor(1) as beside:
+    with said_after(_compiling(params, experiment)), ThreadPoolExecutor(1) as beside:
         outcome = evaluate(params, experiment, trace=True)
         # Now compiled, but still running; what another thread asks of JAX runs on another core meanwhile.
         still = beside.submit(evaluate, params, without_motion(experiment), trace=True)
@@ -139,20 +147,20 @@ def _tables(label: str, outcome: "Outcome", compared: dict[str, "Outcome"], expe
     rows = residual_rows(label, outcome, experiment)
     for name, other in compared.items():
         rows += residual_rows(name, other, experiment)
-    show("", RESIDUAL_HEADER, rows)
+    show("", RESIDUAL_HEADER, rows, keys=2)
     show("all that was measured, X / Y / Z", metric_header(experiment), metric_rows(outcome, experiment))
     if experiment.physics != "linear" and (rows := comparison.paper_rows(outcome, experiment)):
-        show("beside the paper's Table I", comparison.PAPER_HEADER, rows)
+        show("beside the paper's Table I", comparison.PAPER_HEADER, rows, keys=2)
         if len(deviation := 100.0 * np.abs(comparison.deviations(outcome, experiment))):
             worst, median = np.max(deviation), np.median(deviation)
             print(f"RMS off Table I: worst cell {worst:.0f} %, median {median:.0f} %\n")
     if compared:
         rows = comparison.reduction_rows(outcome, compared, experiment)
-        show(f"RMS of {label} lower by", comparison.REDUCTION_HEADER, rows)
+        show(f"RMS of {label} lower by", comparison.REDUCTION_HEADER, rows, keys=2)
 
 
 def _figures(folder: Path, experiment: "Experiment", outcome: "Outcome", still: "Outcome") -> int | None:
-    """Draw what ended well nearest the middle stiffness; its row, or None where nothing did."""
+    """Draw the worst of what ended well; its row, or None where nothing did."""
     from jaxmpc.pictures.experiment_figures import experiment_figure, row_to_draw, spectrum_figure
     from jaxmpc.terminal.tables import show
 
@@ -162,7 +170,8 @@ def _figures(folder: Path, experiment: "Experiment", outcome: "Outcome", still: 
         return None
     path = folder / f"{experiment.name}.png"
     experiment_figure(path, experiment, outcome, still, row)
-    print(f"figure: {path}")
+    others = ", the worst of them" if len(experiment.stiffness) > 1 else ""
+    print(f"figure: {path} ({experiment.stiffness[row]:g} N/m{others})")
     if still is not outcome:
         path = folder / f"{experiment.name}-spectrum.png"
         found = spectrum_figure(path, experiment, outcome, still, row)
@@ -192,14 +201,3 @@ def _statuses(label: str, outcome: "Outcome", experiment: "Experiment") -> None:
             if status == Status.UNSTABLE and moment:
                 moment = f", force out of bounds{moment}"
             print(f"{label}{stiffness:g} N/m: {status.name}{moment}: {status.sentence}")
-
-
-@contextmanager
-def _said_after(seconds: float, text: str) -> Iterator[None]:
-    timer = threading.Timer(seconds, lambda: print(text, file=sys.stderr, flush=True))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()

@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from jaxmpc import described
 from jaxmpc.experiment.reference import Reference, wanted_force
 from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, nearest, plain_name
 from jaxmpc.quantities import AXES, HP_MAX
 from jaxmpc.synthesis.force_filter import force_filter
 from jaxmpc.synthesis.params import Timing
@@ -66,6 +67,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     arm: ArmSettings = ArmSettings()
 
     def __post_init__(self) -> None:
+        plain_name("name", self.name)
         if not self.stiffness:
             raise InputError("stiffness", "[]", "at least one stiffness [N/m]", "The paper has [375.0, 810.0, 1900.0].")
         if self.settle >= self.duration:
@@ -80,6 +82,12 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         if self.physics == "mjx" and self.arm.integrator != "euler":
             remedy = 'Set arm.integrator = "euler", which is MuJoCo\'s.'
             raise InputError("arm.integrator", self.arm.integrator, '"euler" on stock MJX', remedy)
+
+    def __repr__(self) -> str:
+        return described.as_text(*described.experiment(self))
+
+    def _repr_html_(self) -> str:
+        return described.as_html(*described.experiment(self))
 
     @property
     def timing(self) -> Timing:

@@ -4,6 +4,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+LONGEST_VALUE, LONGEST_TEXT = 80, 1200
+"""How much of a value, and of any other part, is repeated [characters]."""
+
 
 @dataclass(eq=False)
 class InputError(ValueError):
@@ -27,18 +30,55 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         where = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
-        value = self.value if isinstance(self.value, str) else f"{self.value}"
-        return f"{where}{self.key} = {value}: must be {self.bound}. {self.remedy}"
+        key, value = plain(self.key, LONGEST_VALUE), plain(_text_of(self.value), LONGEST_VALUE)
+        return plain(f"{where}{key} = {value}: must be {self.bound}. {self.remedy}")
 
     def at(self, file: Path, line: int | None = None) -> "InputError":
         """The same error, placed in a file."""
         return replace(self, file=file, line=line)
 
 
+def plain(text: str, longest: int = LONGEST_TEXT) -> str:
+    """Text for one line of a terminal, whoever wrote it.
+
+    What moves a cursor, breaks or turns a line is shown by its escape; of long text the middle is left out.
+
+    Args:
+        text: From a file, a command line or the system.
+        longest: Characters kept [-].
+    """
+    if len(text) > longest:
+        half = (longest - 1) // 2
+        text = f"{text[:half]}…{text[len(text) - half :]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def plain_name(key: str, name: str) -> str:
+    """A name that may become one of a file or folder.
+
+    Raises:
+        InputError: It is empty or long, begins with a dot or a dash, or holds anything but letters, digits, spaces and
+            `._+-()[]=,`.
+    """
+    odd = next((c for c in name if not (c.isalnum() or c in " ._+-()[]=,")), None)
+    if odd is None and 0 < len(name) <= 100 and name[0] not in ".- " and name == name.strip():
+        return name
+    bound = "a plain name of at most 100 letters, digits, spaces and ._+-()[]=, that begins with none of `.- `"
+    raise InputError(key, name or "empty", bound, "It becomes the name of a file.")
+
+
 def nearest(name: str, known: list[str]) -> str:
     """A remedy for an unknown name: the likeliest meant one, and all that exist."""
     import difflib
 
-    close = difflib.get_close_matches(name, known, n=1)
+    close = difflib.get_close_matches(name[:LONGEST_VALUE], known, n=1)
     hint = f"Did you mean {close[0]!r}? " if close else ""
     return f"{hint}Known: {', '.join(known)}."
+
+
+def _text_of(value: Any) -> str:
+    """A value as text; a number too long to be written, or what is nested too deep, by its kind."""
+    try:
+        return f"{value}"
+    except (ValueError, RecursionError):
+        return f"a huge {type(value).__name__}"

@@ -1,7 +1,6 @@
 """TOML files in and out: every mistake is placed at its file, line and key."""
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.foreign import read_text, toml_of
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -18,21 +18,10 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """The content of a TOML file.
 
     Raises:
-        InputError: The file is missing, unreadable, not UTF-8, or not TOML (a duplicate key, say).
+        InputError: The file is missing, unreadable, not UTF-8, not TOML, or holds what no spec means.
     """
     path = Path(path)
-    try:
-        # The newline lets a mistake in an unfinished last line have a line number.
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n") + "\n")
-    except OSError as error:
-        raise InputError(str(path), "not readable", "a TOML file", f"{error.strerror}.") from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), f"byte {error.start}", "UTF-8 text", "Save the file as UTF-8.") from None
-    except tomllib.TOMLDecodeError as error:
-        line = re.search(r"line (\d+)", str(error))
-        number = int(line[1]) if line else None
-        text = path.read_text().splitlines()[number - 1].strip() if number else "the end of the file"
-        raise InputError("TOML", text, "valid TOML", f"{error}.", path, number) from None
+    return toml_of(read_text(path), path)
 
 
 @contextmanager
@@ -60,10 +49,12 @@ def convert(data: Any, kind: type[T], root: str = "") -> T:
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, InputError):
             raise error.__cause__ from None
-        raise _explain(error, data, root) from None
+        raise _explain(error, data, kind, root) from None
+    except (OverflowError, RecursionError):
+        raise InputError(root or "the file", "a huge number", "of 64 bits", "Write 1e30, say.") from None
 
 
-def _explain(error: msgspec.ValidationError, data: Any, root: str) -> InputError:
+def _explain(error: msgspec.ValidationError, data: Any, kind: type[msgspec.Struct], root: str) -> InputError:
     text, _, path = str(error).partition(" - at `$")
     path = path.strip("`").lstrip(".")
     if unknown := re.search(r"contains unknown field `(.*)`", text):
@@ -73,9 +64,49 @@ def _explain(error: msgspec.ValidationError, data: Any, root: str) -> InputError
     if missing := re.search(r"missing required field `(.*)`", text):
         key = ".".join(part for part in (root, path, missing[1]) if part)
         return InputError(key, "missing", "given", f"Add `{missing[1]} = …`.")
-    bound = text.removeprefix("Expected ").replace("`", "")
-    key = ".".join(part for part in (root, path) if part)
-    return InputError(key or "the file", _lookup(data, path), bound, "Correct the value.")
+    key, value = ".".join(part for part in (root, path) if part) or "the file", _lookup(data, path)
+    if text.startswith("Invalid") and (known := _choices(kind, path)):
+        return InputError(key, value, "a known word", nearest(f"{value}", known))
+    if "out of range" in text:
+        return InputError(key, value, "a number of at most 64 bits", "Write 1e30, say.")
+    bound = re.sub(r"`(\w+)`", lambda word: _WORDS.get(word[1], word[1]), text.removeprefix("Expected "))
+    return InputError(key, value, bound.replace("`", ""), "Correct the value.")
+
+
+_WORDS = {"object": "a table", "array": "a list", "str": "text", "int": "a whole number", "float": "a number"}
+_WORDS |= {"bool": "true or false", "null": "nothing"}
+"""msgspec names types as JSON does."""
+
+
+def _choices(kind: type[msgspec.Struct], path: str) -> list[str]:
+    """Words that a structure accepts at a path; none where it does not choose among words."""
+    found: list[Any] = [msgspec.inspect.type_info(kind)]
+    for part in re.findall(r"\w+|\[[^]]*\]", path):
+        found = [inner for each in found for inner in _inner(each, part)]
+    return [f"{word}" for each in found for word in getattr(each, "values", ())]
+
+
+def _inner(kind: Any, part: str) -> list[Any]:
+    """Types of an entry of a type: a field of a structure, an item of a list; the members of a union."""
+    inspect = msgspec.inspect
+    match kind:
+        case inspect.UnionType():
+            return [inner for member in kind.types for inner in _inner(member, part)]
+        case inspect.StructType():
+            tag = [inspect.LiteralType((kind.tag,))] if kind.tag_field == part else []
+            return [
+                *tag,
+                *(each for field in kind.fields if field.encode_name == part for each in _members(field.type)),
+            ]
+        case inspect.TupleType():
+            return [member for item in kind.item_types for member in _members(item)]
+        case inspect.ListType() | inspect.VarTupleType():
+            return _members(kind.item_type)
+    return []
+
+
+def _members(kind: Any) -> list[Any]:
+    return list(kind.types) if isinstance(kind, msgspec.inspect.UnionType) else [kind]
 
 
 def known_keys(kind: type[msgspec.Struct], table: dict[str, Any], root: str = "") -> None:
@@ -109,8 +140,8 @@ def _line_of(path: Path, key: str) -> int | None:
     """The line of a TOML file that sets a dotted key, or else the nearest table around it."""
     parts = [part for part in re.split(r"[.\[\]]", key) if part and not part.isdigit()]
     try:
-        lines = path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError):
+        lines = read_text(path).splitlines()
+    except InputError:
         return None
     while parts:
         *tables, name = parts

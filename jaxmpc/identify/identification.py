@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.files.samples import csv_lines, npz_vectors
 from jaxmpc.world.friction import SMALL_VELOCITY
 
 COLUMNS = ("t", "q1", "q2", "q3", "q4", "tau1", "tau2", "tau3", "tau4")
@@ -77,21 +78,13 @@ def read_recording(path: str | Path) -> MotionRecording:
         InputError: The file is unreadable, lacks a column, or holds something that is no finite number.
     """
     path = Path(path)
-    try:
-        if path.suffix == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
-                _check_columns(path, list(archive.files))
-                values = np.stack([np.asarray(archive[name], float) for name in COLUMNS], axis=1)
-            lines: Sequence[int | None] = [None] * len(values)
-        else:
-            values, lines = _read_csv(path)
-    except InputError:
-        raise
-    except OSError as error:
-        reason = error.strerror or "it is not an npz file"
-        raise InputError("recording", str(path), "readable", f"{reason}.") from None
-    except (ValueError, EOFError) as error:
-        raise InputError("recording", str(path), "CSV or npz of equally long columns", f"{error}.") from None
+    if path.suffix == ".npz":
+        columns = npz_vectors(path, "recording")
+        _check_columns(path, list(columns))
+        values = np.stack([columns[name] for name in COLUMNS], axis=1)
+        lines: Sequence[int | None] = [None] * len(values)
+    else:
+        values, lines = _read_csv(path)
     if not np.isfinite(values).all():
         row, column = (int(index) for index in np.argwhere(~np.isfinite(values))[0])
         remedy = f"Cut the recording there or repair sample {row + 1}."
@@ -106,21 +99,20 @@ def _check_columns(path: Path, names: list[str]) -> None:
 
 
 def _read_csv(path: Path) -> tuple[np.ndarray, list[int]]:
-    with path.open(encoding="utf-8-sig") as file:
-        names = [name.strip() for name in file.readline().split(",")]
-        _check_columns(path, names)
-        chosen = [names.index(name) for name in COLUMNS]
-        rows, lines = [], []
-        for line, text in enumerate(file, 2):
-            if not text.strip():
-                continue
-            try:
-                cells = [float(cell) for cell in text.split(",")]
-                rows.append([cells[i] for i in chosen])
-            except (ValueError, IndexError):
-                remedy = "Correct or remove this row."
-                raise InputError("row", text.strip(), f"{len(names)} numbers", remedy, path, line) from None
-            lines.append(line)
+    names, texts = csv_lines(path, "recording")
+    _check_columns(path, names)
+    chosen = [names.index(name) for name in COLUMNS]
+    rows, lines = [], []
+    for line, text in enumerate(texts, 2):
+        if not text.strip():
+            continue
+        try:
+            cells = [float(cell) for cell in text.split(",")]
+            rows.append([cells[i] for i in chosen])
+        except (ValueError, IndexError):
+            remedy = "Correct or remove this row."
+            raise InputError("row", text.strip(), f"{len(names)} numbers", remedy, path, line) from None
+        lines.append(line)
     return np.array(rows).reshape(-1, len(COLUMNS)), lines
 
 

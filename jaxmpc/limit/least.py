@@ -138,6 +138,15 @@ def _check(stiffness: float, axis: str, demands: Demands) -> None:
         raise InputError("axis", axis, "an axis", nearest(axis, list(AXES)))
     if not (np.isfinite(stiffness) and stiffness > 0.0):
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
+    check_demands(demands)
+
+
+def check_demands(demands: Demands) -> None:
+    """Refuse what no law can be held to.
+
+    Raises:
+        InputError: A demand is out of range.
+    """
     if not demands.M_s > 1.0:
         raise InputError("M_s", demands.M_s, "above 1", "No loop with delay stays at 1; a robot's has 2.")
     if not demands.chatter > 0.0:

@@ -20,15 +20,15 @@ SHOWN_HZ = 8.0
 
 
 def row_to_draw(outcome: "Outcome", still: "Outcome") -> int | None:
-    """The stiffness nearest the middle one that ended well in both runs; None where there is none.
+    """The stiffness with the largest residual of those that ended well in both runs; None where there is none.
 
-    Losing contact is no obstacle: the run went on.
+    Losing contact is no obstacle: the run went on. A run that ended otherwise has no residual; it is told in words.
     """
     usable = (int(Status.OK), int(Status.LOST_CONTACT))
     pairs = zip(np.asarray(outcome.status), np.asarray(still.status), strict=True)
     ended = [row for row, pair in enumerate(pairs) if all(code in usable for code in pair)]
-    middle = len(outcome.status) // 2
-    return min(ended, key=lambda row: abs(row - middle), default=None)
+    worst = np.nan_to_num(np.asarray(outcome.metrics.rms), nan=0.0).max(axis=-1)
+    return max(ended, key=lambda row: float(worst[row]), default=None)
 
 
 def disturbance_seen(experiment: Experiment, outcome: "Outcome", still: "Outcome", row: int) -> np.ndarray:

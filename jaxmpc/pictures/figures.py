@@ -1,11 +1,14 @@
 """Figures without a display, in one look."""
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from jaxmpc.files.sealed import write_atomic
 
 BASELINE, TUNED, ACCENT = "#8a8f98", "#0b6e99", "#d1495b"
 """Colours: what was, what is now, what to look at."""
@@ -24,7 +27,7 @@ STYLE: Any = {
 
 @contextmanager
 def figure(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.0)) -> Iterator[Any]:
-    """A figure and its axes, written to `path` on the way out; the user's matplotlib settings are untouched.
+    """A figure and its axes, written to `path` on the way out, whole or not at all; the user's settings are untouched.
 
     Args:
         path: Where it goes; the suffix chooses the format (png, svg, pdf).
@@ -44,13 +47,15 @@ def figure(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float
         canvas: Any = FigureCanvasAgg(drawing)
         axes = drawing.subplots(rows, columns)
         yield axes
-        path.parent.mkdir(parents=True, exist_ok=True)
+        data = io.BytesIO()
         if path.suffix == ".png":
             # The picture of `savefig`, which draws it twice; without the writer's version the same data gives the
             # same bytes.
-            canvas.print_png(path, metadata={"Software": None})
+            canvas.print_png(data, metadata={"Software": None})
         else:
-            drawing.savefig(path)
+            drawing.savefig(data, format=path.suffix.removeprefix("."))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, data.getvalue())
 
 
 def outline(t: np.ndarray, x: np.ndarray, points: int = 3000) -> tuple[np.ndarray, np.ndarray]:

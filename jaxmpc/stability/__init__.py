@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxmpc import described
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.gains import Gains
 from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
@@ -44,6 +45,12 @@ class Margins(NamedTuple):
     """Largest |eigenvalue| of the closed loop [-]; stable below 1."""
     status: Int[Array, "..."]
     """A `Status`."""
+
+    def __repr__(self) -> str:
+        return described.as_text(*described.margins(self))
+
+    def _repr_html_(self) -> str:
+        return described.as_html(*described.margins(self))
 
 
 def stability_status(radius: Any, residual: Any) -> Any:

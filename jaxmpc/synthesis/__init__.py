@@ -46,6 +46,8 @@ def design_one(
     active = partial(active_observer_gain, order=p.disturbance_order)
     observer = input_noise_gain if p.architecture == "mpc" else active
     K, residual = observer(Phi, Gamma, p.Q_x, p.Q_p, p.R)
+    # Traced values pass no check; without a sample to predict there is no design, whatever the masks make of it.
+    residual = jnp.where((p.Hp >= 1.0) & (p.Hu >= 1.0), residual, jnp.inf)
     phi = jnp.stack([Phi[0, 1], Phi[1, 1]])
     zero, one = jnp.zeros_like(p.T_cl), jnp.ones_like(p.T_cl)
 

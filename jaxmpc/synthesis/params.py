@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from jaxmpc import described
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 from jaxmpc.synthesis.listening import Listening
@@ -90,6 +91,22 @@ _FAMILY: Mapping[str, Any] = {
 """Each knot: least residual on the arm of Table I, from spectra, at a chatter of 1.16 m/s² and, within ±6 % of its
 stiffness, M_s ≤ 2, 6 and 4 dB, 30° and 1.5 ms. Contact begins with "cautious"."""
 
+_SETS: Mapping[str, Mapping[str, Any]] = {
+    "text": {"Khat_s": 900.0},
+    "printed": {"Khat_s": 500.0},
+    "mpc-alone": _MPC_ALONE,
+    "cautious": _CAUTIOUS,
+    "family": _FAMILY,
+}
+PUBLISHED: Mapping[str, str] = {
+    "text": "The paper's design, K̂_s = 900 N/m as its text says: the baseline.",
+    "printed": "The paper's design, K̂_s = 500 N/m, to which its printed gains belong; unstable on its foam.",
+    "mpc-alone": "The MPC without the observer, tuned to the text design's M_s, to compare with.",
+    "cautious": "M_s below 2 from 375 to 1900 N/m at twice the residual: a first one for a robot.",
+    "family": "Begins as cautious, finds the tissue's stiffness, goes over to gains for it.",
+}
+"""Parameter sets that `Params.published` knows, and what each is."""
+
 
 class Params(eqx.Module):
     """Parameters of one controller; every leaf may have leading batch dimensions (see `stack`).
@@ -167,6 +184,12 @@ class Params(eqx.Module):
                 remedy = "Leave architecture, disturbance_order and guarded to the table above it."
                 raise InputError("knots", "of another structure", "of the structure of [params]", remedy)
 
+    def __repr__(self) -> str:
+        return described.as_text(*described.parameters(self))
+
+    def _repr_html_(self) -> str:
+        return described.as_html(*described.parameters(self))
+
     @property
     def structure(self) -> dict[str, Any]:
         """Its values of `STRUCTURE`; the same for the whole of a batch."""
@@ -191,16 +214,9 @@ class Params(eqx.Module):
         Raises:
             InputError: The name is not one of these.
         """
-        known = {
-            "text": {"Khat_s": 900.0},
-            "printed": {"Khat_s": 500.0},
-            "mpc-alone": _MPC_ALONE,
-            "cautious": _CAUTIOUS,
-            "family": _FAMILY,
-        }
-        if name not in known:
-            raise InputError("published parameters", name, "a known name", nearest(name, list(known)))
-        return Params.from_dict(known[name])
+        if name not in _SETS:
+            raise InputError("published parameters", name, "a known name", nearest(name, list(_SETS)))
+        return Params.from_dict(_SETS[name])
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> "Params":
@@ -221,6 +237,8 @@ class Params(eqx.Module):
         given["knots"] = tuple(Params.from_dict({**shared, **knot}) for knot in tables("knots", given.get("knots", ())))
         if isinstance(listening := given.get("listening"), Mapping):
             given["listening"] = Listening.from_dict(listening)
+        elif not isinstance(listening, Listening | None):
+            raise InputError("listening", listening, "a table", "Put its keys under [params.listening].")
         return Params(**given)
 
     @staticmethod
@@ -283,9 +301,10 @@ class Params(eqx.Module):
             columns: Values per parameter name, shape (n,), or (n, length) for a full diagonal.
 
         Raises:
-            InputError: A value is out of bounds; names the parameter and the first such value.
+            InputError: A name is unknown, a column of another shape, or a value out of bounds; it names the parameter
+                and the first such value.
         """
-        rows = len(next(iter(columns.values())))
+        rows = _rows_of(columns)
         base = {name: getattr(self, name) for name in PARAMETERS}
         wide: dict[str, Any] = {name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in base.items()}
         given = {name: np.asarray(value, np.float64) for name, value in columns.items()}
@@ -298,6 +317,26 @@ class Params(eqx.Module):
         """One controller, or a slice, of a batch."""
         rows: Params = jax.tree.map(lambda leaf: leaf[row], self)
         return rows
+
+
+def _rows_of(columns: Mapping[str, Any]) -> int:
+    """Length that columns share.
+
+    Raises:
+        InputError: There is none, a name is unknown, or a column has another shape.
+    """
+    rows = 0
+    for name, column in columns.items():
+        if name not in PARAMETERS:
+            raise InputError(name, "a column", "of a known parameter", nearest(name, list(PARAMETERS)))
+        shape, entries = np.shape(column), PARAMETERS[name].entries
+        rows = rows or (shape[0] if shape else 0)
+        if not rows or shape not in [(rows,), (rows, entries)][: 1 + bool(entries)]:
+            allowed = f"({rows or 'n'},)" + (f" or ({rows or 'n'}, {entries})" if entries else "")
+            raise InputError(name, f"a column of the shape {shape}", allowed, "Give one value for each controller.")
+    if not rows:
+        raise InputError("columns", "none", "at least one", f"Known: {', '.join(PARAMETERS)}.")
+    return rows
 
 
 def tables(name: str, value: Any) -> Sequence[Mapping[str, Any]]:

@@ -1,8 +1,11 @@
 """What an entry point may do to the process, and a library may not: 64-bit JAX, a device per core, a compile cache."""
 
 import os
+import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+from jaxmpc.files.errors import InputError
 
 
 def use_all_cores(cores: int | None = None) -> None:
@@ -14,25 +17,61 @@ def use_all_cores(cores: int | None = None) -> None:
 
     Args:
         cores: Number of devices wanted; None is the number of cores this process may use.
+
+    Raises:
+        InputError: The environment asks for a single device.
     """
+    # Read when XLA is loaded: its remarks on the machine would land in the middle of a progress bar.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     import jax
 
     config: Any = jax.config
     config.update("jax_enable_x64", True)
-    _remember_programs(config)
-    if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", "") and config.jax_num_cpu_devices < 0:
+    remember_programs()
+    if (set_before := _devices_asked_for(config)) is None:
         config.update("jax_num_cpu_devices", max(2, cores or len(os.sched_getaffinity(0))))
+    elif set_before.number < 2:
+        remedy = "Leave it out: one device computes other last bits than several, so results would have another hash."
+        raise InputError(set_before.key, set_before.number, "at least 2 devices", remedy)
 
 
-def _remember_programs(config: Any) -> None:
-    """Keep programs for the next run, compiled and traced, in the user's cache.
+class _Devices(NamedTuple):
+    """What somebody else has set."""
 
-    JAX_COMPILATION_CACHE_DIR names another place, JAX_ENABLE_COMPILATION_CACHE=0 keeps none.
+    key: str
+    number: int
+
+
+def _devices_asked_for(config: Any) -> _Devices | None:
+    """The device count of XLA_FLAGS, whose last one counts, or of JAX's own option; None where nobody set it."""
+    if found := re.findall(r"--xla_force_host_platform_device_count=(\d+)", os.environ.get("XLA_FLAGS", "")):
+        return _Devices("XLA_FLAGS --xla_force_host_platform_device_count", int(found[-1][:9]))
+    if config.jax_num_cpu_devices >= 0:
+        return _Devices("JAX_NUM_CPU_DEVICES", config.jax_num_cpu_devices)
+    return None
+
+
+def remember_programs(folder: Path | None = None) -> None:
+    """Keep programs for the next process, compiled and traced, whose first `evaluate` then takes seconds.
+
+    The command line calls it; a library keeps nothing unless asked to. JAX_COMPILATION_CACHE_DIR names another place,
+    JAX_ENABLE_COMPILATION_CACHE=0 keeps none.
+
+    Args:
+        folder: Where to; None is the user's cache, or nowhere where the user has no home.
     """
+    import jax
+
     from jaxmpc.xla import store
 
-    if config.jax_compilation_cache_dir is None:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    config: Any = jax.config
+    if folder is not None:
+        config.update("jax_compilation_cache_dir", str(folder))
+    elif config.jax_compilation_cache_dir is None:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+        if not cache.is_absolute():  # as in many containers
+            config.update("jax_enable_compilation_cache", False)
+            return
         config.update("jax_compilation_cache_dir", str(cache / "jaxmpc" / "programs"))
     config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
     store.keep_in(Path(config.jax_compilation_cache_dir) / "traced" if config.jax_enable_compilation_cache else None)

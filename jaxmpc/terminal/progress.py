@@ -1,6 +1,7 @@
 """Progress of long work: a bar on a terminal, a plain line now and then elsewhere."""
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,6 +9,8 @@ from contextlib import contextmanager
 Tick = Callable[[int, str], None]
 """Called with the work done so far and a short note."""
 
+PATIENCE = 2.0
+"""How long work is silent [s]."""
 PLAIN_EVERY = 10.0
 """Seconds between two lines where there is no terminal."""
 
@@ -31,17 +34,29 @@ def progress(title: str, total: int, unit: str = "rows", enabled: bool = True) -
 
 
 def _bar(title: str, total: int) -> Iterator[Tick]:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.text import Text
 
+    class BarAndNote(Progress):
+        """The bar, and the note on lines of its own, where it wraps between words instead of being cut."""
+
+        def get_renderables(self) -> Iterator[RenderableType]:
+            """The two."""
+            yield self.make_tasks_table(self.tasks)
+            if note := self.tasks[0].fields["note"] if self.tasks else "":
+                yield Text(f"  {note}")
+
+    console = Console(stderr=True)
+    # Title, both counts and the time take what a narrow terminal has; the bar takes the rest.
+    rest = console.width - max(10, len(title)) - 2 * len(f"{total}") - 13
     columns = (
         TextColumn("{task.description:10}"),
-        BarColumn(),
+        BarColumn(bar_width=max(4, min(40, rest))),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with BarAndNote(*columns, console=console) as bar:
         task = bar.add_task(title, total=total, note="")
         yield lambda done, note: bar.update(task, completed=done, note=note)
 
@@ -63,3 +78,15 @@ def _lines(title: str, total: int, unit: str) -> Iterator[Tick]:
         sys.stderr.flush()
 
     yield tick
+
+
+@contextmanager
+def said_after(text: str, seconds: float = PATIENCE) -> Iterator[None]:
+    """Say on standard error what is going on, if it takes longer than that [s]."""
+    timer = threading.Timer(seconds, lambda: print(text, file=sys.stderr, flush=True))  # noqa: T201
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -1,32 +1,30 @@
 """Tables on the terminal."""
 
+import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxmpc.quantities import AXES, MARGINS, METRICS
+from jaxmpc.terminal import layout
 
 if TYPE_CHECKING:
     from jaxmpc.closed_loops import Outcome
     from jaxmpc.experiment import Experiment
 
 
-def show(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table: framed on a terminal, plain columns in a pipe."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
+def show(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], keys: int = 1) -> None:
+    """Print a table that fits the terminal.
 
-    table = Table(title=title, box=SIMPLE_HEAD, title_justify="left", title_style="bold", pad_edge=False)
-    for index, name in enumerate(header):
-        table.add_column(name, justify="left" if index == 0 else "right", no_wrap=True)
-    for row in rows:
-        table.add_row(*row)
-    # Piped output has no width of its own; cutting columns to 80 would lose numbers.
-    console = Console()
-    # Units stand in brackets, which rich would take for its own marks.
-    Console(width=console.width if console.is_terminal else 140, highlight=False, markup=False).print(table)
+    Args:
+        title: Printed above it, unless empty.
+        header: Headings.
+        rows: Cells.
+        keys: Leading columns that say what a row is about.
+    """
+    text = layout.table(header, rows, keys=keys)
+    sys.stdout.write(f"{title}\n\n{text}\n\n" if title else f"\n{text}\n\n")
 
 
 def number(value: Any, digits: int = 3) -> str:

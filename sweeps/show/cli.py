@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.files.outputs import check_file, check_folder
 
 if TYPE_CHECKING:
     from sweeps.result import Result
@@ -111,6 +112,8 @@ def _report(result: "Result", folder: Path, args: argparse.Namespace, n: int) ->
 
     limit = args.max_ms
     out = args.out or folder / "report"
+    check_folder("-o", out)
+    check_file("--csv", args.csv)
     out.mkdir(parents=True, exist_ok=True)
     written = [out / "report.html"]
     print("computing the curves of the rows that matter …", file=sys.stderr, flush=True)

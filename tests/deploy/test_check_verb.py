@@ -3,6 +3,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -113,12 +114,21 @@ def test_refused_artifact(arguments, tmp_path, capsys):
     assert output.out == ""
 
 
-@pytest.mark.parametrize("make", ["folder", "loop"])
-def test_what_is_no_file_is_refused(tmp_path, capsys, make):
-    path = tmp_path / "x"
-    path.mkdir() if make == "folder" else path.symlink_to("x")
-    assert main(["check", str(path)]) == 1
+def test_what_is_no_file_is_refused(tmp_path, capsys):
+    (tmp_path / "x").symlink_to("x")
+    assert main(["check", str(tmp_path / "x")]) == 1
     assert "refused: " in capsys.readouterr().err
+
+
+def test_what_can_be_no_controller_is_wrong_input(tmp_path, capsys):
+    (tmp_path / "best.toml").write_text("[params]")
+    for path, words in (
+        (tmp_path / "best.toml", "`jaxmpc freeze"),
+        (tmp_path, "folder"),
+        (Path("/dev/null"), "device"),
+    ):
+        assert main(["check", str(path)]) == 2
+        assert words in capsys.readouterr().err
 
 
 def test_missing_file_is_wrong_input(tmp_path, capsys):

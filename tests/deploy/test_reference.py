@@ -176,7 +176,7 @@ def test_a_wrong_table_is_refused_with_its_file(tmp_path, table, message):
     path.write_text(table)
     with pytest.raises(InputError, match=message) as caught:
         from_text(str(path))
-    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).startswith(f"{path}:")
 
 
 @pytest.mark.parametrize(
@@ -251,7 +251,7 @@ def test_files_that_cannot_be_read_or_are_too_long(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="cannot be read"):
         from_text(str(tmp_path))
     monkeypatch.setattr(parse, "_LARGEST_FILE", 10)
-    with pytest.raises(InputError, match="at most 10"):
+    with pytest.raises(InputError, match="more than 10"):
         from_text(write(tmp_path, "t,x,y,z\n0,0,0,0\n"))
 
 

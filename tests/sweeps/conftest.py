@@ -66,7 +66,6 @@ def command(
 ) -> Callable[..., int]:
     """`jaxmpc` in this process, from an empty folder; the number of devices is fixed already."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=1")
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments: object) -> int:

@@ -39,11 +39,12 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: A controller, the experiment, a number or the folder is wrong; nothing has been written by then.
     """
+    from jaxmpc.files.outputs import check_folder
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
-    from tuning.trials import HARD, NOMINAL, Job
+    from tuning.trials import HARD, MOST, NOMINAL, Job
     from tuning.trials import run as run_trials
 
     given = [args.params, *([args.against] if args.against else [])]
@@ -51,8 +52,9 @@ def run(args: argparse.Namespace) -> int:
     names = [Path(name).stem for name in given]
     names = given if len(set(names)) < len(names) else names
     job = Job(controllers, experiment_from(args.experiment), HARD if args.hard else NOMINAL, args.seed)
-    if args.out and args.out.exists() and not args.out.is_dir():
-        raise InputError("-o", args.out, "a folder", "Name a new one.")
+    check_folder("-o", args.out)
+    if not 1 <= args.trials <= MOST:
+        raise InputError("--trials", args.trials, f"in [1, {MOST}]", "10000 is usual.")
     print(
         f"{args.trials} trials of {job.base.duration:g} s on {job.spread.arms} arms, {job.base.name}, seed {args.seed}"
     )

@@ -1,13 +1,12 @@
 """The user's own recording of heart motion: read with suspicion, played with continuous acceleration."""
 
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.files.samples import csv_lines, npz_vectors
 from jaxmpc.world.heart.harmonics import fade_in, fade_in_rate
 
 COLUMNS = ("t", "x", "y", "z")
@@ -83,25 +82,11 @@ def recorded_motion(
 
 
 def _read_table(path: Path) -> tuple[list[str], np.ndarray]:
-    try:
-        if path.suffix == ".npz":
-            # Opened here: numpy leaves the file of a damaged archive open.
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                columns = [np.atleast_1d(np.asarray(archive[name], float)) for name in archive.files]
-                if any(column.ndim != 1 or len(column) != len(columns[0]) for column in columns):
-                    raise ValueError("The arrays are not all vectors of one length")
-                return list(archive.files), np.array(columns)
-        with path.open(encoding="utf-8-sig") as text:
-            names = [name.strip() for name in text.readline().split(",")]
-            return names, _read_rows(path, text.readlines(), len(names)).T
-    except InputError:
-        raise
-    except OSError as error:
-        reason = error.strerror or "it is not an npz file"
-        raise InputError("motion.file", str(path), "readable", f"{reason}.") from None
-    # A damaged archive fails in the zip reader, a bare npy file named npz lacks the protocol of `with`.
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError("motion.file", str(path), "CSV or npz of numbers", f"{error}.") from None
+    if path.suffix == ".npz":
+        columns = npz_vectors(path, "motion.file")
+        return list(columns), np.array(list(columns.values()))
+    names, lines = csv_lines(path, "motion.file")
+    return names, _read_rows(path, lines, len(names)).T
 
 
 def _read_rows(path: Path, lines: Sequence[str], columns: int) -> np.ndarray:

@@ -1,0 +1,11 @@
+"""How Sphinx makes a site of the guides: `make docs`, without a network."""
+
+project = "jaxmpc"
+extensions = ["myst_nb"]
+html_theme = "furo"
+html_title = "jaxmpc"
+exclude_patterns = ["build"]
+nb_execution_mode = "off"  # tests/test_documents.py runs the notebook; the site shows what it left
+myst_heading_anchors = 3
+suppress_warnings = ["myst.xref_missing"]  # links to files of the repository are no pages of the site
+html_static_path: list[str] = []

@@ -1,0 +1,95 @@
+"""A flight as its recording has it: forces measured and wanted, states by name, what clamps and guard did."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmpc.pictures.experiment_figures import COLOURS
+from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure, outline
+from jaxmpc.quantities import AXES
+
+SHADES = {"approach": "#e8c468", "contact": "#9fd3c7", "retract": "#b8b8d1", "fault": ACCENT}
+"""Background of a state; the others have none."""
+
+
+def recording_figure(
+    path: Path, signals: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]], title: str, parted: str
+) -> None:
+    """Draw a flight recording.
+
+    Args:
+        path: Where it goes.
+        signals: Arrays (samples, width) by name, `deploy.flight.recorder`.
+        names: What the numbers of `state` and `reason` stand for.
+        title: Above it: who flew, and how it ended.
+        parted: What a replay found, below it.
+    """
+    t = signals["time"][:, 0]
+    force, wanted = signals["force"], signals["force_ref"]
+    with figure(path, rows=5, size=(9.0, 10.0)) as axes:
+        *panels, torques, guard = axes
+        for axis, (panel, colour) in enumerate(zip(panels, COLOURS, strict=True)):
+            panel.plot(*outline(t, force[:, axis]), color=colour, lw=0.8, label="measured")
+            panel.plot(*outline(t, wanted[:, axis]), color="black", lw=0.9, ls="--", label="wanted")
+            panel.set_ylabel(f"force {AXES[axis].upper()} [N]")
+            _lost(panel, t, force[:, axis])
+        for joint in range(4):
+            shade = str(0.15 + 0.18 * joint)
+            torques.plot(*outline(t, signals["torque"][:, joint]), color=shade, lw=0.7, label=f"J{joint + 1}")
+        clamped = (signals["clamped"][:, 0] > 0.0) & (_state(signals, names) == "contact")
+        torques.plot(t[clamped], np.zeros(clamped.sum()), "|", color=ACCENT, ms=10.0, label=f"{clamped.sum()} clamped")
+        torques.set_ylabel("torque [N m]")
+        guard.plot(*outline(t, signals["gain"][:, 0]), color=TUNED, lw=1.0, label="gain left by the guard")
+        guard.set_ylim(-0.05, 1.05)
+        guard.set_ylim(-0.05, 1.05)
+        guard.set_ylabel("gain [-]")
+        if "stiffness" in signals and np.any(signals["stiffness"] > 0.0):
+            believed = guard.twinx()
+            for axis, colour in enumerate(COLOURS):
+                believed.plot(t, signals["stiffness"][:, axis], color=colour, lw=0.8, label=f"K̂ {AXES[axis].upper()}")
+            believed.set_ylabel("stiffness found [N/m]")
+            believed.legend(loc="lower right", ncols=3)
+        for panel in axes:
+            _shade(panel, t, _state(signals, names), named=panel is panels[0])
+            panel.set_xlim(t[0], t[-1])
+            # Room above the signals for the legend.
+            low, high = panel.get_ylim()
+            panel.set_ylim(low, high + 0.25 * (high - low))
+            panel.legend(loc="upper right", ncols=6, borderaxespad=0.1, fontsize=8.0)
+        for panel in axes[:-1]:
+            panel.tick_params(labelbottom=False)
+        panels[0].set_title(title, loc="left", pad=18.0)
+        guard.set_xlabel(f"time since the first cycle [s]; {parted}")
+        guard.figure.align_ylabels(axes)
+
+
+def _state(signals: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]) -> np.ndarray:
+    known = np.array([*names.get("state", ()), "?"])
+    numbers = np.nan_to_num(signals["state"][:, 0], nan=-1.0).astype(int)
+    found: np.ndarray = known[np.where((numbers >= 0) & (numbers < len(known) - 1), numbers, -1)]
+    return found
+
+
+def _shade(panel: Any, t: np.ndarray, state: np.ndarray, *, named: bool) -> None:
+    """Stretches of the same state, named once each."""
+    edges = [0, *(np.flatnonzero(state[1:] != state[:-1]) + 1), len(t) - 1]
+    for first, last in pairwise(edges):
+        name = str(state[first])
+        panel.axvspan(t[first], t[last], color=SHADES.get(name, "white"), alpha=0.25, lw=0.0)
+        # A name that has no room would lie over its neighbour's.
+        if named and t[last] - t[first] > 0.05 * (t[-1] - t[0]):
+            middle = 0.5 * (t[first] + t[last])
+            where = panel.get_xaxis_transform()
+            panel.text(middle, 1.02, name, ha="center", va="bottom", fontsize=8.0, color=BASELINE, transform=where)
+
+
+def _lost(panel: Any, t: np.ndarray, force: np.ndarray) -> None:
+    """Samples without a force."""
+    missing = ~np.isfinite(force)
+    if missing.any():
+        low = panel.get_ylim()[0]
+        label = f"{missing.sum()} without a force"
+        panel.plot(t[missing], np.full(missing.sum(), low), "|", color=ACCENT, ms=8.0, label=label)

@@ -1,0 +1,123 @@
+"""What a user sees at 60, 80 and 120 columns, read from a terminal emulator: no number cut, none torn apart."""
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import numpy as np
+import pyte
+import pytest
+
+from jaxmpc.cli.comparison import PAPER_HEADER, REDUCTION_HEADER
+from jaxmpc.cli.limit import HEADER, PLACE
+from jaxmpc.quantities import MARGINS
+from jaxmpc.terminal import layout
+from jaxmpc.terminal.tables import RESIDUAL_HEADER
+
+WIDTHS = (60, 80, 120)
+TRIALS = ("controller", "RMS N, median", "true", "|e| N, 99 %", "largest", "swing N, median", "95 %", "guard at rest %")
+TABLES = {
+    "residuals": (RESIDUAL_HEADER, 2, "paper's text design, as it was published"),
+    "Table I": (PAPER_HEADER, 2, "1900"),
+    "reduction": (REDUCTION_HEADER, 2, "MPC alone"),
+    "limit": ((*PLACE, *HEADER, "× limit"), 2, "810"),
+    "check": (("K_s [N/m]", *MARGINS), 1, "375"),
+    "trials": (TRIALS, 1, "a-controller-with-a-name-that-nobody-would-type"),
+    "tissues": (("metric", *(f"{K:g} N/m" for K in np.geomspace(300, 2200, 33))), 1, "peak error [mN]"),
+}
+
+
+def shown(data: bytes, columns: int) -> list[str]:
+    """Lines of a terminal of that width after all that was written to it."""
+    screen = pyte.Screen(columns, 400)
+    pyte.ByteStream(screen).feed(data)
+    return [line.rstrip() for line in screen.display]
+
+
+def numbers(text: str) -> list[str]:
+    return re.findall(r"−?\d+[.,]?\d*", text)
+
+
+@pytest.mark.parametrize("columns", WIDTHS)
+@pytest.mark.parametrize("name", TABLES)
+def test_every_number_of_a_table_stands_whole_on_the_screen(name: str, columns: int) -> None:
+    header, keys, first = TABLES[name]
+    random = np.random.default_rng(1)
+    figures = [[f"{x:.4f} / {y:.1f}" for x, y in random.uniform(-999, 999, (len(header) - keys, 2))] for _ in range(4)]
+    rows = [[first, *(["1900"] * (keys - 1)), *each] for each in figures]
+    text = layout.table(header, rows, columns, keys)
+    assert max(map(layout.cells, text.splitlines())) <= columns
+    lines = shown(text.replace("\n", "\r\n").encode(), columns)
+    for cell in (cell for row in figures for cell in row):
+        assert sum(cell in line for line in lines) == 1, cell
+    assert "…" not in "".join(lines)
+
+
+def test_an_output_that_is_no_terminal_has_each_row_on_one_line() -> None:
+    text = layout.table(["a", *"b" * 50], [["x", *["1234.5678"] * 50]])
+    assert len(text.splitlines()) == 3
+
+
+def test_accents_and_wide_characters_take_the_places_that_a_terminal_gives_them() -> None:
+    assert layout.cells("K̂_s") == 3
+    assert layout.cells("心") == 2
+    head, rule, row = layout.table(["K̂", "λ"], [["心臓", "1"]], 80).splitlines()
+    assert layout.cells(head) == layout.cells(row) == layout.cells(rule)
+
+
+def on_terminal(columns: int, *command: str, cwd: Path) -> list[str]:
+    """The screen after a command that believes in a terminal."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 60, columns, 0, 0))
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    process = subprocess.Popen(
+        [sys.executable, *command], stdin=theirs, stdout=theirs, stderr=theirs, cwd=cwd,
+        env={**environment, "TERM": "xterm", "PYTHONPATH": str(Path(__file__).parents[2])},
+    )  # fmt: skip
+    os.close(theirs)
+    data = b""
+    while True:
+        try:
+            part = os.read(ours, 65536)
+        except OSError:  # Linux's way to say that the other end is closed
+            break
+        data += part
+    process.wait()
+    os.close(ours)
+    return shown(data, columns)
+
+
+PROGRESS = """
+import time
+from jaxmpc.terminal.progress import progress
+with progress("sweep", 1234567) as tick:
+    for done in (1, 654321, 1234567):
+        tick(done, "987654 rows/s, 1357 not OK, best 0.02468 N at M_s ≤ 2, 43210 lost / 56789 swinging")
+        time.sleep(0.3)
+"""
+
+
+@pytest.mark.parametrize("columns", WIDTHS)
+def test_progress_keeps_its_numbers(columns: int, tmp_path: Path) -> None:
+    lines = on_terminal(columns, "-c", PROGRESS, cwd=tmp_path)
+    text = "\n".join(lines)
+    for number in ("1234567/1234567", "987654", "1357", "0.02468", "43210", "56789"):
+        assert number in text
+    assert "…" not in text
+
+
+@pytest.mark.parametrize("columns", WIDTHS)
+def test_help_and_lists_fit(columns: int, tmp_path: Path) -> None:
+    for command in (["list", "experiments", "params"], ["--help"]):
+        lines = on_terminal(columns, "-m", "jaxmpc", *command, cwd=tmp_path)
+        text = " ".join(" ".join(lines).split())
+        assert "Traceback" not in text
+        if command[0] == "list":
+            assert "10 mm in 0.3 s along" in text
+            assert "from 375 to 1900 N/m at twice" in text
