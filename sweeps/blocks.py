@@ -1,13 +1,13 @@
-"""How rows are cut into blocks, by the spec alone; needs no engine, so that a dry run is quick.
+"""How rows are cut into blocks, by the spec and the kind of device alone; needs no engine: a dry run is quick.
 
-The bits of a row may depend on its block's size, so nothing but the spec may decide it: not the number of cores, not
+The bits of a row may depend on its block's size, so nothing else may decide it: not the number of cores or devices, not
 the chunk, not who computes.
 """
 
 import math
 from itertools import pairwise
 
-from jaxmpc.xla.blocks import BLOCK
+from jaxmpc.xla.blocks import BLOCK, rows_of_a_block
 from sweeps.plan import Plan
 from sweeps.targets import STRUCTURAL, target
 
@@ -35,7 +35,9 @@ def shares_signals(plan: Plan) -> bool:
 
 def block_of(plan: Plan) -> int:
     """Rows of a block."""
-    if not plan.space.of_worlds or (in_pairs(plan) and shares_signals(plan)):
+    if not plan.space.of_worlds:
+        return rows_of_a_block()
+    if in_pairs(plan) and shares_signals(plan):
         return BLOCK
     if not in_pairs(plan):
         return min(BLOCK, _power_below(plan.space.same_world))

@@ -14,7 +14,8 @@ class Pace:
     """
 
     def __init__(self, fixed: int | None, width: int, most: int) -> None:
-        self._fixed, self._width, self._most = fixed, width, most
+        # Whole rounds: what a chunk has beyond them is computed and thrown away.
+        self._fixed, self._width, self._most = fixed, width, most // width * width or most
         self.length = fixed or min(width, most)
         self.first_s = self.seconds = 0.0
         self.rounds = self.rows = 0

@@ -15,7 +15,14 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 BLOCK = 256
-"""Controllers in a block: below 128 the loop overhead shows, above 512 the cache does."""
+"""Controllers in a block on a CPU: below 128 the loop overhead shows, above 512 the cache does."""
+GPU_BLOCK = 16384
+"""Controllers in a block on a GPU: three tissues of each fill an H200, and a chunk of them its file."""
+
+
+def rows_of_a_block() -> int:
+    """Controllers in a block on this machine's devices."""
+    return BLOCK if jax.default_backend() == "cpu" else GPU_BLOCK
 
 
 def over_blocks(function: Callable[..., Any], block: int = BLOCK) -> Callable[..., Any]:
