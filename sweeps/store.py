@@ -197,7 +197,9 @@ def read_chunks(folder: Path, plan: Plan, *, mend: bool = False) -> StoredChunks
 
 def stage_folders(folder: Path) -> list[Path]:
     """Folders of the stages of a refined sweep that have begun, in order; none of a plain one."""
-    found = sorted((folder / "stages").glob("[0-9]*"))
+    stages = folder / "stages"
+    # A glob may raise where there can be no such folder.
+    found = sorted(stages.glob("[0-9]*")) if os.path.isdir(stages) else []
     return [path for path in found if (path / "manifest.json").exists()]
 
 

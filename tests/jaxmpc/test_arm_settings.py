@@ -39,7 +39,7 @@ def refused(folder: Path, text: str) -> InputError:
             "within the joint limits",
         ),
         ("[arm]\nposture = [0.0, 2.1, 0.0, 2.2]", 3, "arm.posture", 2.1, "in [-2, 2] rad for J2", "joint limits"),
-        ("[arm]\nposture = [0.0, 0.7, 0.0]", 3, "arm.posture", "[0.0, 0.7, 0.0]", "array of length 4", "Correct"),
+        ("[arm]\nposture = [0.0, 0.7, 0.0]", 3, "arm.posture", "[0.0, 0.7, 0.0]", "a list of length 4", "Correct"),
         ("[arm]\nsubsteps = 2\ntarget = [1.2, 0.0, 0.1]", 4, "arm.target", "[1.2, 0.0, 0.1]", "within reach", "0.9 m"),
         ("[arm]\nbeyond_sensor = 0.4", 3, "arm.beyond_sensor", 0.4, "at most arm.tool_mass (= 0.3 kg)", "part of"),
         (

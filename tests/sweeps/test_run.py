@@ -216,7 +216,7 @@ def test_folders_of_something_else_are_refused_untouched(
     for folder, word in (
         (copy, "experiment.stiffness[1]: there 1900.0, here 1800.0"),
         (mine, "It holds other files"),
-        (mine / "thesis.tex", "A file is in its place"),
+        (mine / "thesis.tex", "thesis.tex is a file"),
         (edited, "changed by hand"),
     ):
         assert command("sweep", other, "-o", folder) == 2

@@ -8,6 +8,7 @@ import tempfile
 import pytest
 
 from deploy.bus import candump
+from deploy.cli import run as run_verb
 from deploy.flight import recording_file
 from deploy.flight.recorder import read
 from deploy.loop.session import Session
@@ -112,6 +113,10 @@ def test_a_bus_log_that_cannot_be_written_is_no_success(fly, tmp_path, monkeypat
     assert (code, said.err.count("\n")) == (2, 1)
     assert "--bus-log" in said.err
     if os.path.exists("/dev/full"):
+        code, said, _ = fly("--bus-log", "/dev/full")
+        assert (code, said.err.count("\n")) == (2, 1), "a device is no file"
+        # A disk that fills while it flies.
+        monkeypatch.setattr(run_verb, "check_file", lambda *_: None)
         code, said, _ = fly("--bus-log", "/dev/full")
         assert code == 1
         assert "writing failed: No space left" in said.out

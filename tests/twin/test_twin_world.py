@@ -257,10 +257,10 @@ def test_a_twin_of_an_experiment_meets_what_the_simulation_meets(tmp_path):
     contact.begin(True)
     pressed = [contact.press((0.0, 0.0, -0.005), NONE[:3], NONE[:3], NONE[:3], t, 0.0)[2] for t in (0.0, 0.1, 0.2)]
     assert pressed == pytest.approx([-3.0, -6.0, -9.0], rel=1e-3)
-    wrong = {"motion.repeat": ("repeat = true", ""), "tissue.viscosity": ("viscosity = 1.5", "viscosity = -1.0")}
-    for key, replaced in wrong.items():
-        (tmp_path / "e.toml").write_text(text.replace(*replaced))
-        with pytest.raises(InputError, match=key):
-            TwinPhysics(twin_settings(str(tmp_path / "e.toml")))
+    (tmp_path / "e.toml").write_text(text.replace("repeat = true", ""))
+    assert twin_settings(str(tmp_path / "e.toml")).motion.repeat, "no recording is as long as any flight"
+    (tmp_path / "e.toml").write_text(text.replace("viscosity = 1.5", "viscosity = -1.0"))
+    with pytest.raises(InputError, match=r"tissue\.viscosity"):
+        TwinPhysics(twin_settings(str(tmp_path / "e.toml")))
     with pytest.raises(InputError, match="Did you mean 'cough'"):
         twin_settings("cuogh")
