@@ -120,7 +120,7 @@ def test_what_freezing_refuses_is_not_met(result: TuneResult) -> None:
 
 
 def test_a_study_without_limits_says_so_first(result: TuneResult) -> None:
-    arm = msgspec.structs.replace(result.spec.experiment, physics="wam")
+    arm = msgspec.structs.replace(result.spec.experiment, name="study", physics="wam")
     study = replace(result, spec=msgspec.structs.replace(result.spec, experiment=arm.without_limits()))
     assert verdict(study) == f"all hard goals are met; {STUDY}"
     limited = replace(result, spec=msgspec.structs.replace(result.spec, experiment=arm))
