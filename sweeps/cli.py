@@ -219,7 +219,7 @@ def _dry_run(spec: "SweepSpec", plan: "Plan", cores: int, args: argparse.Namespa
     took = rates.estimate(plan, cores)
     each = "rows of one world" if plan.space.of_worlds and not in_pairs(plan) else "rows"
     way = "pairs of a controller and a world" if in_pairs(plan) else f"controllers × {plan.worlds} worlds"
-    print(f"  engine      {experiment['physics']} on {cores} cores, {way}, blocks of {block_of(plan)} {each}")
+    print(f"  engine      {experiment['physics']} on {_devices(cores)}, {way}, blocks of {block_of(plan)} {each}")
     print(f"  compiles    {programs(plan)} programs")
     memory = rows * plan.row_bytes + signal_bytes(plan) * (block_of(plan) * cores if in_pairs(plan) else 1)
     print(f"  disk        {rows * plan.row_bytes / 1e6:.1f} MB")
@@ -235,6 +235,15 @@ def _dry_run(spec: "SweepSpec", plan: "Plan", cores: int, args: argparse.Namespa
         print(f"  refined by  {spec.refine.method}: what stands above is of all rows on the spec's own experiment")
     print("dry run: nothing was written")
     return 0
+
+
+def _devices(cores: int) -> str:
+    """What computes on this machine, in words."""
+    import jax
+
+    if jax.default_backend() == "cpu":
+        return f"{cores} cores"
+    return f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
 
 
 def _measured(spec: "SweepSpec", plan: "Plan", cores: int) -> None:

@@ -21,7 +21,7 @@ from jaxmpc.world.contact import Contact
 from jaxmpc.world.robot import accelerate
 from jaxmpc.xla import ops
 
-ARM, AXIS = Shape(64, 2), Shape(128, 1)
+ARM, AXIS = Shape(64, 2), Shape(64, 1)
 """Lanes and warps of a program of the arm, and of the linear loop (measured)."""
 
 

@@ -1,0 +1,117 @@
+"""Kernel, scan and stock MJX on one GPU, each at several batch sizes, in one run: `python -m benchmarks.gpu`.
+
+An axis-step is one sample of one axis of the linear loop, an arm step one of everything on the arm. Floor: 84
+operations of an axis-step and some 3 200 of an arm step, of which a multiplication and an addition may be one
+instruction; printed beside each rate is the share of the chip's instructions that so many operations would be.
+"""
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+AXIS_OPERATIONS, ARM_OPERATIONS = 84, 3200
+LANES_OF_A_MULTIPROCESSOR = 128
+SECONDS = {"linear": 10.0, "wam": 4.0, "mjx": 2.7}
+
+
+def main() -> None:
+    """Measure, print, and write down what was found with machine, versions and date."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", type=Path, dest="out", help="write the results there, as JSON")
+    parser.add_argument("--quick", action="store_true", help="one batch size each")
+    args = parser.parse_args()
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if jax.default_backend() != "gpu":
+        raise SystemExit("benchmarks.gpu: no GPU here that JAX can use")
+    device = jax.devices()[0]
+    rows = []
+    for physics, engine, dtype, batches in (
+        ("linear", "kernel", "float32", (131072, 16384)),
+        ("linear", "kernel", "float64", (131072,)),
+        ("linear", "scan", "float32", (131072,)),
+        ("wam", "kernel", "float32", (65536, 16384)),
+        ("wam", "scan", "float32", (65536,)),
+        ("mjx", "mjx", "float32", (8192,)),
+    ):
+        for batch in batches[: 1 if args.quick else None]:
+            row = measured(physics, engine, dtype, batch)
+            rows.append(row)
+            print(
+                f"{physics:<7}{engine:<7}{dtype:<9}{batch:>7} controllers: {row['rate'] / 1e9:8.3f} G steps/s, "
+                f"{row['share_of_peak']:5.1%} of the instructions, first call {row['first_s']:.0f} s",
+                flush=True,
+            )
+    best = {
+        name: max(row["rate"] for row in rows if row["engine"] == name and row["physics"] in ("wam", "mjx"))
+        for name in ("kernel", "scan", "mjx")
+    }
+    print(
+        f"arm: kernel / scan {best['kernel'] / best['scan']:.1f}, kernel / stock MJX {best['kernel'] / best['mjx']:.0f}"
+    )
+    if args.out:
+        said = {"device": device.device_kind, "jax": jax.__version__, "date": time.strftime("%Y-%m-%d"), "rows": rows}
+        args.out.write_text(json.dumps(said, indent=1) + "\n")
+
+
+def measured(physics: str, engine: str, dtype: str, batch: int) -> dict[str, Any]:
+    """Rate of one engine on one batch [steps/s], and how long its first call took [s]."""
+    import jax
+    import msgspec
+
+    from jaxmpc import Experiment, Params
+    from jaxmpc.closed_loops import close_loops
+    from jaxmpc.engine.registry import choose
+    from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
+
+    base = Experiment.published("table-1" if physics == "linear" else "table-1-wam")
+    short = msgspec.structs.replace(base, duration=SECONDS[physics], settle=1.0)
+    experiment = with_physics(short, physics)
+    spec, data = program_spec(experiment)._replace(engine=engine), scenario_data(experiment)
+    random, text = np.random.default_rng(0), Params.published("text")
+    factors = np.exp(random.uniform(-0.7, 0.7, (2, batch)))
+    params = text.with_columns({"lam": float(text.lam) * factors[0], "Q_p": float(text.Q_p) * factors[1]})
+    loops = jax.jit(lambda p: close_loops(p, data.stiffness, data.path))(params)
+    run = jax.jit(
+        lambda loops: choose(spec).simulate(spec, loops.gains, loops.K2, loops.contacts, data, dtype).metrics.rms
+    )
+    times = []
+    for _ in range(3):
+        began = time.perf_counter()
+        jax.block_until_ready(run(loops))
+        times.append(time.perf_counter() - began)
+    axes = 3 if physics == "linear" else 1
+    steps = batch * len(experiment.stiffness) * axes * experiment.steps
+    operations = AXIS_OPERATIONS if physics == "linear" else ARM_OPERATIONS
+    rate = steps / min(times[1:])
+    return {
+        "physics": physics,
+        "engine": engine,
+        "precision": dtype,
+        "controllers": batch,
+        "rate": rate,
+        "first_s": times[0],
+        "share_of_peak": rate * operations / peak(),
+    }
+
+
+def peak() -> float:
+    """Instructions that the first GPU could issue for its lanes [1/s]: multiprocessors × lanes × clock."""
+    import subprocess
+
+    import jax
+
+    asked = ["nvidia-smi", "--query-gpu=clocks.max.sm", "--format=csv,noheader,nounits"]
+    megahertz = float(subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split()[0])
+    return jax.devices()[0].core_count * LANES_OF_A_MULTIPROCESSOR * megahertz * 1e6
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    main()
