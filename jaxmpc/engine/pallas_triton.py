@@ -48,6 +48,9 @@ def run_episodes(
         constants: One array per kind.
         signals: All groups' in one array.
         interpret: Run it without a GPU, which is slow.
+
+    Raises:
+        ValueError: There is more of something than 32 bits can count.
     """
     groups, tissues, controllers = layout.shape
     count, dtype = tissues * controllers, signals.dtype
@@ -87,6 +90,9 @@ def run_episodes(
         lambda *arrays: episode.found(begin(unpacked(layout, arrays, 0, jnp.zeros(cut.lanes, jnp.int32)))), *constants
     )
     rows = len(jax.tree.leaves(like))
+    most = max(rows * groups * blocks * cut.lanes, signals.size, *(array.size for array in constants))
+    if most >= 2**31:
+        raise ValueError(f"{most} numbers in an array of a kernel, which counts to 2³¹: run fewer controllers")
     call = pallas.pallas_call(
         kernel,
         out_shape=jax.eval_shape(lambda: jnp.zeros(rows * groups * blocks * cut.lanes, dtype)),
