@@ -14,8 +14,9 @@ import threading
 import uuid
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from jaxmpc.files.foreign import table_if_any
 from jaxmpc.files.sealed import write_atomic
 from sweeps.store import chunk_name, stretch_of
 
@@ -145,7 +146,7 @@ class Leases:
 
     def _lease(self, stretch: Stretch) -> Lease | None:
         try:
-            return Lease(**_json(self._path(stretch)))
+            return Lease(**table_if_any(self._path(stretch)))
         except TypeError:
             return None
 
@@ -175,7 +176,7 @@ def given_up(folder: Path) -> dict[Stretch, str]:
     found = {}
     for path in sorted((folder / "aside").glob("[0-9]*.json")):
         if (stretch := stretch_of(path.name)) is not None:
-            found[stretch] = str(_json(path).get("reason", "unknown"))
+            found[stretch] = str(table_if_any(path).get("reason", "unknown"))
     return found
 
 
@@ -185,11 +186,3 @@ def _machine() -> str:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip() + os.readlink("/proc/self/ns/pid")
     except OSError:
         return f"{uuid.getnode():x}"
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        data = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return data if isinstance(data, dict) else {}

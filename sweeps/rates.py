@@ -5,8 +5,9 @@ import math
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from jaxmpc.files.foreign import table_if_any
 from jaxmpc.files.sealed import write_atomic
 from sweeps.blocks import block_of, in_pairs, padded, shares_signals
 from sweeps.machine import processor
@@ -48,7 +49,7 @@ def record(plan: Plan, pace: Pace, devices: int, where: Path | None = None) -> N
     path = where or kept_in()
     per_row = pace.seconds / pace.rows
     compile_s = max(pace.first_s - per_row * block_of(plan) * devices, 0.0)
-    table = _read(path)
+    table = table_if_any(path)
     table.setdefault(kind_of(plan, devices), {})[str(_samples(plan))] = [per_row, compile_s]
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -64,7 +65,7 @@ def estimate(plan: Plan, devices: int, missing: int | None = None, where: Path |
         missing: Rows that are left; None is all.
         where: File of the rates; None is the user's.
     """
-    known = _read(where or kept_in()).get(kind_of(plan, devices), {})
+    known = table_if_any(where or kept_in()).get(kind_of(plan, devices), {})
     if not known:
         return None
     samples = _samples(plan)
@@ -104,11 +105,3 @@ def _samples(plan: Plan) -> int:
     experiment = plan.canonical["experiment"]
     steps = round(float(experiment["duration"]) / float(experiment["sampling_time"]))
     return max(1, steps) * len(plan.stiffness)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        data = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return data if isinstance(data, dict) else {}

@@ -99,6 +99,15 @@ def json_of(text: str, path: Path) -> dict[str, Any]:
     return _parsed(text, "JSON", path, loads)
 
 
+def table_if_any(path: Path) -> dict[str, Any]:
+    """The table of a small JSON file that can be done without; empty where it is missing, damaged or no table."""
+    try:
+        data = json.loads(read_bytes(path))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return data if isinstance(data, dict) else {}
+
+
 def _parsed(text: str, kind: str, path: Path, loads: Callable[[str], Any]) -> dict[str, Any]:
     try:
         # The newline lets a mistake in an unfinished last line have a line number.

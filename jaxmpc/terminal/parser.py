@@ -37,7 +37,7 @@ class CommandParser(argparse.ArgumentParser):
         """The parser of a verb."""
         assert self._subparsers is not None
         (action,) = self._subparsers._group_actions
-        found: CommandParser = action.choices[verb]  # type: ignore[index]
+        found: CommandParser = action.choices[verb]  # type: ignore[index]  # a parser of verbs has some
         return found
 
     def taking_values(self) -> list[argparse.Action]:

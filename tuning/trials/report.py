@@ -166,11 +166,6 @@ def _rows(job: Job, names: Sequence[str], found: Outcomes) -> Candidates:
     )
 
 
-def comment_of(job: Job, number: int) -> str:
-    """What a trial's file says of itself."""
-    return f"Trial {number}, seed {job.seed}: {draws(job.trial(number))}"
-
-
 def _friction(trial: Experiment, joint: int) -> float:
     arm = trial.arm
     true, nominal = arm.coulomb[joint], (arm.nominal_coulomb or arm.coulomb)[joint]
