@@ -79,6 +79,13 @@ HARD = Spread(STIFFNESS, replace(_ANY, delays=(1, 2), cable_hz=(15.0, 60.0)), (0
 """Arms on which it is not: there a guard has to end what no fixed margin prevents."""
 
 
+def on_own_tissues(spread: Spread, base: Experiment) -> Spread:
+    """The same from the softest to the hardest of the experiment's tissues, where it has others than the paper's."""
+    if base.stiffness == Experiment().stiffness:
+        return spread
+    return spread._replace(stiffness=(min(base.stiffness), max(base.stiffness)))
+
+
 @dataclass(frozen=True)
 class Job:
     """Which controllers meet which trials.
@@ -191,7 +198,11 @@ class Outcomes(NamedTuple):
         return resting
 
 
-def run(job: Job, count: int, folder: Path | None = None, show: bool = False) -> Outcomes:
+Told = Callable[[int, "Outcomes"], None]
+"""Called with the first trial of a block and its outcomes, as soon as they are there."""
+
+
+def run(job: Job, count: int, folder: Path | None = None, show: bool = False, told: Told | None = None) -> Outcomes:
     """Run trials 0 … count − 1; no bit of one depends on how many there are or where a run was interrupted.
 
     Args:
@@ -199,6 +210,7 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False) ->
         count: Number of trials.
         folder: Where finished blocks are kept and found again; None keeps none.
         show: Whether to show progress.
+        told: Hears of each block.
 
     Raises:
         InputError: The count is out of bounds, or the folder holds blocks of another job.
@@ -215,6 +227,8 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False) ->
             lost += blocks[-1].lost.sum(axis=0)
             swinging += blocks[-1].swinging.sum(axis=0)
             said = " / ".join(f"{a} lost, {b} swinging" for a, b in zip(lost, swinging, strict=True))
+            if told:
+                told(first, blocks[-1])
             tick(min(first + BLOCK, count), said)
     return Outcomes(*map(np.concatenate, zip(*blocks, strict=True)))
 
