@@ -62,15 +62,14 @@ def failures(job: Job, names: Sequence[str], first: int, found: Outcomes) -> Ite
         found: What happened in them.
     """
     verdicts = {"lost": found.lost, "left 2 N": found.left, "swinging": found.swinging}
-    for i in np.flatnonzero(np.any(list(verdicts.values()), axis=(0, 2))):
-        for c in np.flatnonzero(np.any([which[i] for which in verdicts.values()], axis=0)):
-            said = " and ".join(verdict for verdict, which in verdicts.items() if which[i, c])
-            status, when = Status(int(found.status[i, c])), found.when[i, c]
-            if status != Status.OK:
-                said += f", {status.name}" + (f" at {when:.1f} s" if np.isfinite(when) else "")
-            largest = found.peak_error[i, c].max()
-            said += f", |e| {largest:.2f} N" if np.isfinite(largest) else ""
-            yield f"trial {first + i}: {names[c]} {said}; {draws(job.trial(first + int(i)))}"
+    for i, c in np.argwhere(np.any(list(verdicts.values()), axis=0)).tolist():
+        said = " and ".join(verdict for verdict, which in verdicts.items() if which[i, c])
+        status, when = Status(int(found.status[i, c])), found.when[i, c]
+        if status != Status.OK:
+            said += f", {status.name}" + (f" at {when:.1f} s" if np.isfinite(when) else "")
+        largest = found.peak_error[i, c].max()
+        said += f", |e| {largest:.2f} N" if np.isfinite(largest) else ""
+        yield f"trial {first + i}: {names[c]} {said}; {draws(job.trial(first + i))}"
 
 
 def write_csv(path: Path, job: Job, names: Sequence[str], found: Outcomes) -> None:
