@@ -40,11 +40,14 @@ def test_who_never_fails_ends_with_0(
     peaks: dict[str, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "tuned.toml").write_text("[params]\nK2 = 20.0")
+    # Named by what the user wrote.
     command = ["trials", str(tmp_path / "tuned.toml"), "--against", "text", "--trials", "40", "--hard"]
     out = tmp_path / "out"
     assert main([*command, "-o", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "trial: both 0, only tuned 0, only text 0, neither 40" in said
+    said, told = capsys.readouterr()
+    tuned = tmp_path / "tuned.toml"
+    assert f"trial: both 0, only {tuned} 0, only text 0, neither 40" in said
+    assert told.startswith("trial 0: text left 2 N, |e| 3.00 N; ")
     assert "stress arms" in said
     assert re.findall(r"left \|e\| < 2 N\W+(\d+)", said) == ["0", "1"]
     assert {path.name for path in out.iterdir()} == {

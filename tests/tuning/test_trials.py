@@ -15,9 +15,9 @@ from jaxmpc.experiment.reference import Reference
 from jaxmpc.report.content import Table
 from tuning import trials
 from tuning.job.scenarios import RHYTHMS
-from tuning.trials import HARD, NOMINAL, Job, Outcomes, compute, drawn
+from tuning.trials import HARD, NOMINAL, Job, Outcomes, compute, drawn, on_own_tissues
 from tuning.trials.program import Met
-from tuning.trials.report import pairs, ranked, trials_report
+from tuning.trials.report import failures, pairs, ranked, trials_report
 
 BLOCK = 4
 
@@ -51,6 +51,31 @@ def test_pairs_and_ranks() -> None:
     assert pairs(found.lost) == (0, 2, 0, 3)
     assert ranked(found, 0, 4) == [1, 4, 2, 0]
     assert ranked(found, 1, 2) == [4, 0]
+
+
+def test_failures_are_told_with_what_happened_and_to_whom() -> None:
+    found = outcomes([[1.0, 1.0], [3.0, np.nan], [1.0, 1.0]], [[0, 0], [0, 2], [0, 0]])
+    found = found._replace(
+        when=np.full((3, 2), 4.25), swing=np.where(np.arange(3)[:, None, None] == 2, 0.2, found.swing)
+    )
+    asked = job(Params(), Params.published("cautious"))
+    lines = list(failures(asked, ["text", "cautious"], 720, found))
+    assert [line.partition(";")[0] for line in lines] == [
+        "trial 721: text left 2 N, |e| 3.00 N",
+        f"trial 721: cautious lost, {Status(2).name} at 4.2 s",
+        "trial 722: text swinging, |e| 1.00 N",
+        "trial 722: cautious swinging, |e| 1.00 N",
+    ]
+    assert f"{asked.trial(721).stiffness[0]:.0f} N/m" in lines[0]
+
+
+def test_trials_are_on_the_tissues_of_an_experiment_that_has_its_own() -> None:
+    base = Experiment.published("table-1-wam")
+    assert on_own_tissues(HARD, base) == HARD
+    own = on_own_tissues(HARD, msgspec.structs.replace(base, stiffness=(900.0, 500.0)))
+    assert own == HARD._replace(stiffness=(500.0, 900.0))
+    drawn = [job(spread=own).trial(i).stiffness[0] for i in range(50)]
+    assert 500.0 <= min(drawn) < 550.0 < 820.0 < max(drawn) <= 900.0
 
 
 def test_the_report_has_every_trial_and_the_worst_as_files() -> None:

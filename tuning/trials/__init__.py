@@ -13,7 +13,7 @@ Three verdicts, of which a trial may deserve several:
 - *swinging*: true force above 12 Hz of more than 0.1 N RMS on any axis over the last 10 s (`jaxmpc.swing`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,13 +23,16 @@ from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
 from jaxmpc.terminal.progress import progress
 from tuning.trials import drawn
 from tuning.trials.compute import outcomes_of
-from tuning.trials.drawn import HARD, MOST, NOMINAL, Job, Spread, motion_of
+from tuning.trials.drawn import HARD, MOST, NOMINAL, Job, Spread, motion_of, on_own_tissues
 from tuning.trials.outcomes import Outcomes
 
-__all__ = ["HARD", "MOST", "NOMINAL", "Job", "Outcomes", "Spread", "motion_of", "run"]
+__all__ = ["HARD", "MOST", "NOMINAL", "Job", "Outcomes", "Spread", "motion_of", "on_own_tissues", "run"]
+
+Told = Callable[[int, Outcomes], None]
+"""Called with the first trial of a block and its outcomes, as soon as they are there."""
 
 
-def run(job: Job, count: int, folder: Path | None = None, show: bool = False) -> Outcomes:
+def run(job: Job, count: int, folder: Path | None = None, show: bool = False, told: Told | None = None) -> Outcomes:
     """Run trials 0 … count − 1; no bit of one depends on how many there are or where a run was interrupted.
 
     Args:
@@ -37,6 +40,7 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False) ->
         count: Number of trials.
         folder: Where finished blocks are kept and found again; None keeps none.
         show: Whether to show progress.
+        told: Hears of each block.
 
     Raises:
         InputError: The count is out of bounds, or the folder holds blocks of another job.
@@ -51,6 +55,8 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False) ->
             lost += blocks[-1].lost.sum(axis=0)
             swinging += blocks[-1].swinging.sum(axis=0)
             said = " / ".join(f"{a} lost, {b} swinging" for a, b in zip(lost, swinging, strict=True))
+            if told:
+                told(first, blocks[-1])
             tick(min(first + drawn.BLOCK, count), said)
     return Outcomes(*map(np.concatenate, zip(*blocks, strict=True)))
 

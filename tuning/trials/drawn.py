@@ -51,6 +51,13 @@ HARD = Spread(STIFFNESS, replace(_ANY, delays=(1, 2), cable_hz=(15.0, 60.0)), (0
 """Arms on which it is not: there a guard has to end what no fixed margin prevents."""
 
 
+def on_own_tissues(spread: Spread, base: Experiment) -> Spread:
+    """The same from the softest to the hardest of the experiment's tissues, where it has others than the paper's."""
+    if base.stiffness == Experiment().stiffness:
+        return spread
+    return spread._replace(stiffness=(min(base.stiffness), max(base.stiffness)))
+
+
 @dataclass(frozen=True)
 class Job:
     """Which controllers meet which trials.
