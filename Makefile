@@ -50,7 +50,7 @@ robot-test: $(ROBOT)  ## the robot's tests, where only numpy, python-can and pyt
 		-o addopts="--import-mode=importlib --strict-markers" -m "not slow and not oracle and not hardware"
 
 kernel-test: $(DEV)  ## flights on a kernel's own CAN, in a virtual machine: an hour, and packages of docs/robot.md
-	@$(VENV)/bin/python -m tests.kernel $(if $(KERNELS),--kernels $(KERNELS))
+	@$(VENV)/bin/python -m tests.kernel $(if $(KERNELS),--kernels $(KERNELS)) $(if $(JOBS),--jobs $(JOBS))
 
 bench: $(DEV)  ## throughput of the linear loop and of the arm beside their peers
 	@$(VENV)/bin/python -m benchmarks.sweep_throughput

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.twin.contact import TwinContact
 from deploy.twin.heart import TwinHeart
-from deploy.twin.scenario import HEARTS, RHYTHMS, SCENARIOS, motion_named, twin_settings
+from deploy.twin.scenario import HEARTS, RHYTHMS, SCENARIOS, motion_named, twin_settings, unlike_the_simulation
 from deploy.twin.settings import HOME, TwinSettings
 from deploy.twin.world import TORQUE_CONSTANT, WINDING, TwinPhysics
 from jaxmpc.experiment import Experiment
@@ -258,7 +258,12 @@ def test_a_twin_of_an_experiment_meets_what_the_simulation_meets(tmp_path):
     contact.begin(True)
     pressed = [contact.press((0.0, 0.0, -0.005), NONE[:3], NONE[:3], NONE[:3], t, 0.0)[2] for t in (0.0, 0.1, 0.2)]
     assert pressed == pytest.approx([-3.0, -6.0, -9.0], rel=1e-3)
+    file = str(tmp_path / "e.toml")
+    assert unlike_the_simulation(file, None) == ""
+    assert unlike_the_simulation("cough", None) == unlike_the_simulation(None, "cough") == ""
     (tmp_path / "e.toml").write_text(text.replace("repeat = true", ""))
+    assert "repeats it, faded to rest" in unlike_the_simulation(file, None)
+    assert unlike_the_simulation(file, "cough") == "", "another heart was asked for"
     assert twin_settings(str(tmp_path / "e.toml")).motion.repeat, "no recording is as long as any flight"
     (tmp_path / "e.toml").write_text(text.replace("viscosity = 1.5", "viscosity = -1.0"))
     with pytest.raises(InputError, match=r"tissue\.viscosity"):
