@@ -1,7 +1,7 @@
 """A spec with everything resolved: its canonical form, its hash, and what each row holds."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -134,18 +134,6 @@ class Plan:
                 path.write_bytes(content)
             data["motion"] = {**data["motion"], "file": str(path)}
         return data
-
-    def portions(self, missing: np.ndarray, chunk: int) -> Iterator[tuple[int, int]]:
-        """Stretches of at most `chunk` rows that cover the missing ones.
-
-        Args:
-            missing: Whether each planned row is missing.
-            chunk: Rows of a portion.
-        """
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
-        for begin, end in edges.reshape(-1, 2).tolist():
-            for first in range(begin, end, chunk):
-                yield first, min(first + chunk, end)
 
 
 def make_plan(spec: SweepSpec) -> Plan:

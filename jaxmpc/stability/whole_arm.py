@@ -27,7 +27,8 @@ from jaxmpc.stability.loop import transition_matrix
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import arm, friction
-from jaxmpc.world.robot import HeartSample, Robot, RobotStructure, accelerate
+from jaxmpc.world.joint_acceleration import accelerate
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
 from jaxmpc.xla import ops
 from jaxmpc.xla.blocks import padded
 from jaxmpc.xla.once import JitOnce

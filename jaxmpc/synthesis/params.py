@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 
 from jaxmpc import described
 from jaxmpc.files.errors import InputError, nearest
@@ -22,7 +22,6 @@ Architecture = Literal["mpc-aob", "aob", "mpc"]
 Order = Literal[1, 2, 3]
 STRUCTURE = ("architecture", "disturbance_order", "guarded", "listening")
 """What of a controller is no number to be tuned but needs a program of its own."""
-Number = Float[jax.Array | np.ndarray, "..."]
 
 
 def _number(value: Any) -> Any:

@@ -17,7 +17,8 @@ from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.whole_arm import lost, radii, robots_of, whole_arm_matrix
 from jaxmpc.world.arm import chain
 from jaxmpc.world.arrays import ARRAYS
-from jaxmpc.world.robot import HeartSample, Robot, RobotStructure, accelerate
+from jaxmpc.world.joint_acceleration import accelerate
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
 from tuning import trials
 from tuning.trials import drawn
 
