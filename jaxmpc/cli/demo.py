@@ -102,8 +102,9 @@ def _paper(text: "Params", printed: "Params") -> None:
 
 
 def _sweep(folder: Path) -> "Result":
-    from sweeps.report import sweep_report, table
     from sweeps.run import run as sweep
+    from sweeps.show.best_rows import table
+    from sweeps.show.report import sweep_report
     from sweeps.spec import SweepSpec
 
     result = sweep(SweepSpec.from_toml(_example(folder, "demo-sweep.toml")), folder / "sweep", progress=True)
@@ -230,7 +231,7 @@ def _summary(
     print("\nlinear loop, without the robot's limits, unseen motion: worst residual", end=" ")
     print(" → ".join(f"{1e3 * rms:.1f}" for rms in tuned.worst), "mN, text → autotuned", end="")
     best = swept.best(1, 2.0)
-    print(f"; best of the sweep with M_s ≤ 2: {1e3 * best.worst_rms[0]:.1f} mN" if len(best) else "")
+    print(f"; best of the sweep with M_s ≤ 2: {1e3 * best.worst('rms')[0]:.1f} mN" if len(best) else "")
 
     flown = flight.rms(SETTLE)
     show(
