@@ -22,6 +22,7 @@ from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import Observations, OperatingState, SafetyState, Task
 from deploy.safety.plausible import EncoderState, ForceState, beyond_stop, encoder_step, force_step
 from deploy.safety.reasons import Reason
+from deploy.safety.runaway import runaway_step
 from deploy.wam.arm import Reading, WamArm
 from deploy.wam.encoder_bridge import EncoderBridge
 from deploy.wam.tip_pose import TipKinematics
@@ -112,6 +113,7 @@ class Cycle:
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
         self._estimate, self._balance, self._deepest = estimate, BalanceState(), deepest
+        self._runaway = 0
         self._age, self._hazards = [0] * 4, Hazards(arm, T_s)
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
@@ -131,10 +133,12 @@ class Cycle:
         kinematics = self._tip_kinematics(q, qd)
         force, doubt = self._force(reading, kinematics)
         unbalanced = self._weighed(q, qd, force, age, timing.missed)
+        if self.safety_state.state is OperatingState.CONTACT:
+            self._runaway, runaway = runaway_step(self._runaway, runtime.last_a)
+            too_deep = self.controller.depth(kinematics.tip) > self._deepest
+            unbalanced = runaway or (Reason.FORCE_MODEL if too_deep else unbalanced)
         if doubt is Reason.NONE:
             doubt = unbalanced
-        if doubt is Reason.NONE and self.controller.depth(kinematics.tip) > self._deepest:
-            doubt = Reason.FORCE_MODEL
         hazard, detail = self._hazards.judge(reading, timing, min(self._age))
         if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._hazards.lately):
             danger = Reason.LATE

@@ -51,7 +51,7 @@ def _jobs() -> dict[str, str]:
 
 
 def _params() -> dict[str, str]:
-    from jaxmpc.synthesis.params import PUBLISHED
+    from jaxmpc.synthesis.published import PUBLISHED
 
     return dict(PUBLISHED)
 

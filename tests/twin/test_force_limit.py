@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.lying_sensor import Flown, fly, moments
-from deploy.loop import session
+from deploy.loop import cycle, session
 from deploy.safety.reasons import Reason
 from deploy.twin.twin import Twin
 from jaxmpc.world.tissue import KINDS
@@ -71,6 +71,16 @@ def test_without_the_motors_word_a_fifth_presses_beyond_the_limit(cautious, monk
     found = flown(cautious, "a fifth", "fung", 1900.0, "before")
     assert found.push > LIMIT
     assert found.reason is Reason.FINISHED
+
+
+def test_a_loop_that_swings_is_ended_before_it_presses_beyond_the_limit(cautious, monkeypatch):
+    """Lost forces on tissue that is stiffer under load than promised; without the check it is 22 N."""
+    swinging = ("force:intermittent=0.1@4.522",), 810.0, "fung", -10.0
+    found = fly(cautious, *swinging, seed=339)
+    assert found.reason is Reason.FORCE_MODEL
+    assert found.push < LIMIT - 4.0
+    monkeypatch.setattr(cycle, "runaway_step", lambda count, asked: (0, None))
+    assert fly(cautious, *swinging, seed=339).push > LIMIT + 4.0
 
 
 @pytest.mark.parametrize("stiffness", [375.0, 1900.0])

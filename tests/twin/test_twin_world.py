@@ -21,6 +21,7 @@ from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.world import robot
 from jaxmpc.world.arm import chain, joint_ranges, tip_at
 from jaxmpc.world.heart.motion import Motion, displacement
+from jaxmpc.world.joint_acceleration import accelerate
 from jaxmpc.world.tissue import KINDS
 
 FLOATS = SimpleNamespace(
@@ -83,7 +84,7 @@ def test_the_world_is_the_simulators(kind, steps):
         if k % 50 == 0:
             sent = tuple((holding(world, lift=-4.0) + draw.normal(0.0, 0.1, 4)).tolist())
         joint = apply_transposed(JOINT_TO_MOTOR, sent)
-        state = robot.move(chain(), structure, of, state, joint, (heart,), robot.accelerate, FLOATS)
+        state = robot.move(chain(), structure, of, state, joint, (heart,), accelerate, FLOATS)
         world.advance(before, DRIVING)
         np.testing.assert_allclose(world.truth().q, state.q, rtol=0.0, atol=1e-9)
     assert np.ptp(normal) > 2.0

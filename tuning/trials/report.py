@@ -16,7 +16,8 @@ from jaxmpc.report.content import Candidates, Chart, Detail, Mark, Measure, Repo
 from jaxmpc.report.influence import influence
 from jaxmpc.status import Status
 from tuning.job.scenarios import describe
-from tuning.trials import LARGEST_ERROR, SETTLE, Job, Outcomes
+from tuning.trials.drawn import SETTLE, Job
+from tuning.trials.outcomes import LARGEST_ERROR, Outcomes
 
 KEPT = 20
 """Worst trials of each controller that a report keeps as files."""
