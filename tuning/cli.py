@@ -74,10 +74,9 @@ def run(args: argparse.Namespace) -> int:
 def _resolved(spec: "TuneSpec") -> str:
     """What is tuned on what, in a few lines; all of it is in the spec that lies beside the results."""
     from jaxmpc.terminal.layout import columns_of_output
-    from tuning.job.shown import resolved
 
     width = min(columns_of_output(), 120)
-    lines = [f"  {title:<11} {text}" for title, text in resolved(spec).items()]
+    lines = [f"  {title:<11} {text}" for title, text in spec.resolved().items()]
     return "\n".join(textwrap.fill(line, width, subsequent_indent=" " * 14) for line in lines)
 
 

@@ -25,7 +25,6 @@ from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
-from tuning.job.shown import resolved
 from tuning.job.space import FREE, FREE_OF_KNOTS, KNOTS, Bounds, SearchSpace, axis_of
 
 HARD = {"M_s": HIGHEST_M_S}
@@ -100,8 +99,26 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             raise InputError(f"goals.{OVERSHOOT}", "given", "left out with knots", "It is of the fixed gains alone.")
 
     def __repr__(self) -> str:
-        lines = [described.Line(title, text, "", "") for title, text in resolved(self).items()]
+        lines = [described.Line(title, text, "", "") for title, text in self.resolved().items()]
         return described.as_text(f"TuneSpec, {self.tune.starts} starts, {self.tune.steps} steps", lines)
+
+    def resolved(self) -> dict[str, str]:
+        """Title and text of some lines: what is tuned on what, held to what, met where."""
+        experiment, met = self.experiment, self.scenarios
+        tissues = ", ".join(f"{K:g}" for K in experiment.stiffness)
+        hard = [f"{name} {GOALS[name].sign} {GOALS[name].amount(limit)}" for name, limit in self.goals.items()]
+        implied = [f"{name} {GOALS[name].sign} {GOALS[name].amount(limit)}" for name, limit in self.implied.items()]
+        start = {axis.name: self.params.to_dict().get(axis.name) for axis in self.space.axes}
+        return {
+            "experiment": f"{experiment.name}, physics {experiment.physics}, {experiment.duration:g} s, "
+            f"K_s {tissues} N/m",
+            "free": ", ".join(name if value is None else f"{name} from {value:.4g}" for name, value in start.items()),
+            "held": ", ".join(hard) + (f"; by the robot's limits {', '.join(implied)}" if implied else ""),
+            "minimised": ", ".join(f"{name} over {limit:g}" for name, limit in self.soft.items()),
+            "met": f"rhythms {', '.join(met.rhythms) or 'none'}; friction ±{100 * met.friction:g} %, "
+            f"masses ±{100 * met.mass:g} %, delay {', '.join(map(str, met.delays)) or experiment.delay}",
+            "risk": ", ".join(f"{name} {value}" for name, value in self.to_dict()["risk"].items()),
+        }
 
     @property
     def before(self) -> Params:
