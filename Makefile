@@ -11,7 +11,7 @@ DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-oracles test-slow planted-faults lint types robot-test kernel-test bench docs pins clean
+.PHONY: help demo environment test test-oracles test-slow planted-faults lint types robot-test kernel-test bench docs pins clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -21,11 +21,13 @@ help:  ## this list
 demo: $(SIM)  ## the whole story: sweep, tune, freeze, fly, with pictures
 	@$(VENV)/bin/jaxmpc demo
 
+environment: $(DEV)  ## what tests need, installed, and none run
+
 test: $(DEV)  ## the fast tests
 	@$(PYTEST)
 
 test-oracles: $(DEV)  ## what proves physics, gradients and safety: minutes
-	@$(PYTEST) -m "oracle and not slow and not hardware"
+	@$(PYTEST) tests/tuning tests -m "oracle and not slow and not hardware"  # the longest first
 
 test-slow: $(DEV)  ## long statistics and whole jobs: half an hour
 	@$(PYTEST) -m "slow and not hardware"

@@ -1,7 +1,7 @@
 """A spec with everything resolved: its canonical form, its hash, and what each row holds."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
-from jaxmpc.files.sealed import LARGEST, digest
+from jaxmpc.files.sealed import LARGEST, canonical_json, digest
 from jaxmpc.quantities import AXES, METRICS, PARAMETERS
 from jaxmpc.synthesis.params import Params
 from sweeps.goal import SweepGoal
@@ -115,6 +115,15 @@ class Plan:
         """Size of one row of the result [bytes]."""
         return sum(np.dtype(dtype).itemsize * int(np.prod(shape)) for dtype, shape in self.layout.values())
 
+    def hash_of(self, columns: Mapping[str, np.ndarray]) -> str:
+        """sha256 over the little-endian bytes of all columns in their fixed order."""
+        total = hashlib.sha256()
+        for name, column in self.layout.items():
+            values = np.ascontiguousarray(columns[name], np.dtype(column.dtype))
+            total.update(canonical_json([name, column.dtype, list(values.shape)]).encode())
+            total.update(values)
+        return total.hexdigest()
+
     @property
     def largest_chunk(self) -> int:
         """Most rows that a chunk file may have."""
@@ -134,18 +143,6 @@ class Plan:
                 path.write_bytes(content)
             data["motion"] = {**data["motion"], "file": str(path)}
         return data
-
-    def portions(self, missing: np.ndarray, chunk: int) -> Iterator[tuple[int, int]]:
-        """Stretches of at most `chunk` rows that cover the missing ones.
-
-        Args:
-            missing: Whether each planned row is missing.
-            chunk: Rows of a portion.
-        """
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
-        for begin, end in edges.reshape(-1, 2).tolist():
-            for first in range(begin, end, chunk):
-                yield first, min(first + chunk, end)
 
 
 def make_plan(spec: SweepSpec) -> Plan:

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from deploy.errors import BusError
     from deploy.loop.realtime import PRIORITY, prepared
-    from deploy.twin.scenario import twin_settings
+    from deploy.twin.scenario import twin_settings, unlike_the_simulation
     from deploy.twin.server import HOST, Server
     from deploy.twin.twin import Twin
 
@@ -91,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
             faults=(*presses, *args.fault),
         )
     )
+    if said := unlike_the_simulation(args.experiment, args.rhythm):
+        print(said)
     try:
         server = Server(twin, args.port)
     except OSError as error:
