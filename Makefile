@@ -27,7 +27,7 @@ test: $(DEV)  ## the fast tests
 	@$(PYTEST)
 
 test-oracles: $(DEV)  ## what proves physics, gradients and safety: minutes
-	@$(PYTEST) tests/tuning tests -m "oracle and not slow and not hardware"  # the longest first
+	@$(PYTEST) -m "oracle and not slow and not hardware"
 
 test-slow: $(DEV)  ## long statistics and whole jobs: half an hour
 	@$(PYTEST) -m "slow and not hardware"
