@@ -12,7 +12,7 @@ import pytest
 
 import sweeps
 import tuning
-from jaxmpc import Experiment, InputError, Params, Status, Timing, design, evaluate, margins
+from jaxmpc import Experiment, InputError, Margins, Params, Status, Timing, design, evaluate, margins
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
 from sweeps.result import Result
@@ -36,15 +36,16 @@ def result_of_a_sweep() -> Result:
 def tuned() -> tuning.TuneResult:
     """A result whose numbers are given, as no test here has an hour to tune."""
     held = Metrics(*(np.full((2, 4, 3, 3), 0.02) * [[[[1.0]]], [[[0.5]]]] for _ in Metrics._fields))
-    batch = Params.stack([Params.published("text"), Params.published("cautious")])
-    found = jax.tree.map(np.asarray, margins(batch, np.array(JOB.judged_at)))
+    found = Margins(
+        *np.full((len(Margins._fields) - 1, 2, len(JOB.judged_at)), 1.5), np.zeros((2, len(JOB.judged_at)), int)
+    )
     return tuning.TuneResult(JOB, Params.published("cautious"), True, held, {"as run": found, "ideal": found}, [], {})
 
 
 MADE: dict[str, Callable[[], Any]] = {
     "Experiment": lambda: FAMILY,
     "InputError": lambda: InputError("lam", -1.0, "above 0", "Take 0.1.", ROOT / "x.toml", 3),
-    "Margins": lambda: margins(Params(), np.linspace(375.0, 1900.0, 33)),
+    "Margins": lambda: margins(Params(), 810.0),
     "Outcome": lambda: evaluate(Params(), SHORT),
     "Params": lambda: Params.published("family"),
     "Status": lambda: Status.UNSTABLE,
@@ -64,8 +65,8 @@ MADE: dict[str, Callable[[], Any]] = {
 }
 """One of each public class."""
 RETURNED = {
-    "gains": lambda: design(Params.published("family")),
-    "a batch of gains": lambda: design(Params.stack([Params(), Params(K2=20.0)])),
+    "gains": lambda: design(Params()),
+    "a batch of gains": lambda: jax.tree.map(lambda x: np.stack([x, x]), design(Params())),
     "metrics": lambda: evaluate(Params(), SHORT).metrics,
     "a batch": lambda: Params.stack([Params()] * 9),
 }
