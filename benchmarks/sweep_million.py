@@ -62,7 +62,7 @@ def measured(folder: Path) -> None:
 
 def made_up(folder: Path, rows: int, kind: str) -> None:
     """Write a sweep's folder whose values are drawn, not computed."""
-    from sweeps import store
+    from sweeps import chunks, store
     from sweeps.plan import make_plan
     from sweeps.spec import SweepSpec
 
@@ -85,7 +85,7 @@ def made_up(folder: Path, rows: int, kind: str) -> None:
         status = (random.random(drawn["status"].shape) < 0.03).astype(np.int8)
         peaks = {"M_s": 1.2 + 3.0 * drawn["M_s"]}
         columns = {**drawn, **own, **peaks, "row": plan.rows[part], "status": status}
-        store.write_chunk(folder, plan, first, part.stop, columns)
+        chunks.write_chunk(folder, plan, first, part.stop, columns)
 
 
 if __name__ == "__main__":

@@ -117,7 +117,10 @@ def _sweep(args: argparse.Namespace) -> int:
     print(f"  rows        {len(plan.rows)}" + (f" ({left_out} more with Hu > Hp are left out)" if left_out else ""))
     print(f"  results     {folder}" + (", continued" if begun else ""), flush=True)
     if args.dry_run:
-        return _dry_run(spec, plan, cores, args)
+        from sweeps.dry_run import dry_run
+
+        print(dry_run(spec, plan, cores, measure=bool(args.measure)))
+        return 0
     from jaxmpc.terminal.process import use_all_cores
 
     crew = _crew(args, cores)
@@ -207,59 +210,3 @@ def _part(text: str | None) -> tuple[int, int]:
     if not (k.isdigit() and n.isdigit() and 1 <= int(k) <= int(n)):
         raise InputError("--part", text, "K/N with 1 ≤ K ≤ N", "Write 2/3 for the second of three.")
     return int(k), int(n)
-
-
-def _dry_run(spec: "SweepSpec", plan: "Plan", cores: int, args: argparse.Namespace) -> int:
-    from sweeps import rates
-    from sweeps.blocks import block_of, in_pairs, programs, signal_bytes
-
-    if args.measure:
-        _measured(spec, plan, cores)
-    rows, experiment = len(plan.rows), plan.canonical["experiment"]
-    took = rates.estimate(plan, cores)
-    each = "rows of one world" if plan.space.of_worlds and not in_pairs(plan) else "rows"
-    way = "pairs of a controller and a world" if in_pairs(plan) else f"controllers × {plan.worlds} worlds"
-    print(f"  engine      {experiment['physics']} on {_devices(cores)}, {way}, blocks of {block_of(plan)} {each}")
-    print(f"  compiles    {programs(plan)} programs")
-    memory = rows * plan.row_bytes + signal_bytes(plan) * (block_of(plan) * cores if in_pairs(plan) else 1)
-    print(f"  disk        {rows * plan.row_bytes / 1e6:.1f} MB")
-    print(f"  memory      {memory / 1e6 + 500:.0f} MB")
-    print(f"  axis-steps  {rows * len(plan.stiffness) * 3 * spec.experiment.steps:.3g}")
-    if took is None:
-        print("  time        unknown: nothing like it has been run on this machine; --measure finds out")
-    else:
-        parts = f"{took.compile_s:.0f} s to compile, then {took.rate:.0f} rows/s"
-        print(f"  time        {took.seconds:.0f} s from nothing: {parts} (from {took.like})")
-        print(f"  chunks      {max(1, round(took.rows / took.rate / 5.0))} of some seconds each")
-    if spec.refine is not None:
-        print(f"  refined by  {spec.refine.method}: what stands above is of all rows on the spec's own experiment")
-    print("dry run: nothing was written")
-    return 0
-
-
-def _devices(cores: int) -> str:
-    """What computes on this machine, in words."""
-    import jax
-
-    if jax.default_backend() == "cpu":
-        return f"{cores} cores"
-    return f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
-
-
-def _measured(spec: "SweepSpec", plan: "Plan", cores: int) -> None:
-    """Compute the first rows, two rounds, and note how long they took."""
-    from jaxmpc.terminal.process import use_all_cores
-
-    use_all_cores(cores)
-    from sweeps import rates
-    from sweeps.blocks import padded
-    from sweeps.compute import compute, round_of
-    from sweeps.pace import Pace
-
-    width = min(round_of(plan), len(plan.rows))
-    pace = Pace(None, width, plan.largest_chunk)
-    for _ in range(2):
-        began = time.perf_counter()
-        compute(plan, 0, width)
-        pace.tell(padded(plan, cores, 0, width), time.perf_counter() - began)
-    rates.record(plan, pace, cores)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from jaxmpc.files.foreign import table_if_any
 from jaxmpc.files.sealed import write_atomic
-from sweeps.store import chunk_name, stretch_of
+from sweeps.chunks import chunk_name, stretch_of
 
 SILENCE = 60.0
 """After so long without a sign of life a lease is no longer one [s]."""

@@ -13,7 +13,7 @@ import numpy as np
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
-from jaxmpc.files.sealed import LARGEST, digest
+from jaxmpc.files.sealed import LARGEST, canonical_json, digest
 from jaxmpc.quantities import AXES, METRICS, PARAMETERS
 from jaxmpc.synthesis.params import Params
 from sweeps.goal import SweepGoal
@@ -114,6 +114,15 @@ class Plan:
     def row_bytes(self) -> int:
         """Size of one row of the result [bytes]."""
         return sum(np.dtype(dtype).itemsize * int(np.prod(shape)) for dtype, shape in self.layout.values())
+
+    def hash_of(self, columns: Mapping[str, np.ndarray]) -> str:
+        """sha256 over the little-endian bytes of all columns in their fixed order."""
+        total = hashlib.sha256()
+        for name, column in self.layout.items():
+            values = np.ascontiguousarray(columns[name], np.dtype(column.dtype))
+            total.update(canonical_json([name, column.dtype, list(values.shape)]).encode())
+            total.update(values)
+        return total.hexdigest()
 
     @property
     def largest_chunk(self) -> int:

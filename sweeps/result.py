@@ -14,71 +14,34 @@
 Quantities (`jaxmpc.quantities`, here `MEASURED`) say unit, sense, digits and text of every metric and margin.
 """
 
-import hashlib
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.files.sealed import canonical_json
-from jaxmpc.quantities import METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
-from sweeps import labelled, store
+from sweeps import chunks, labelled, store
 from sweeps.axis import SweepAxis
 from sweeps.front import front
 from sweeps.goal import MEASURED, SweepGoal
+from sweeps.judged import Point, baseline_of, worst
+from sweeps.merging import merge
 from sweeps.plan import Plan
-from sweeps.rows import experiment_of, meetings, world_of
-from sweeps.space import SweepSpace
+from sweeps.rows import experiment_of, meetings, stiffness_met, world_of
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-
-class Point(NamedTuple):
-    """One controller in the plane of the Pareto front."""
-
-    rms: float
-    """Largest residual RMS over stiffness and axis [N]; ∞ unless the status is OK at every stiffness."""
-    M_s: float
-    """Largest peak sensitivity over stiffness [-]."""
-
-
-def baseline_of(summary: Mapping[str, Any]) -> Point | None:
-    """The baseline in a folder's summary, where an infinity is null."""
-    found = summary.get("baseline")
-    if not (isinstance(found, list) and len(found) == 2 and all(isinstance(x, float | int | None) for x in found)):
-        return None
-    return Point(*(np.inf if value is None else value for value in found))
-
-
-def worst(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """A metric or margin at its worst over stiffness and axis, (rows,); ∞ or −∞, as is worse, where there is none.
-
-    Metrics count only where the status is OK at every stiffness, margins wherever they are numbers.
-    """
-    quantity, values = MEASURED[name], columns[name]
-    failed = np.inf if quantity.ceiling else -np.inf
-    found = quantity.worst(values.reshape(len(values), -1), axis=1)
-    if name in METRICS:
-        found = np.where((columns["status"] == Status.OK).all(axis=1), found, failed)
-    worst_found: np.ndarray = np.where(np.isnan(found), failed, found)
-    return worst_found
-
-
-def keeps(columns: Mapping[str, np.ndarray], name: str, limit: float) -> np.ndarray:
-    """Whether rows keep a limit, (rows,)."""
-    kept: np.ndarray = MEASURED[name].kept(worst(columns, name), limit)
-    return kept
+SCREEN, FULL, AROUND, RERUN = "-screen", "-full", "-around", "-rerun"
+"""How names of stages end."""
 
 
 @dataclass(frozen=True)
@@ -107,12 +70,9 @@ class Result:
         folder = Path(folder)
         stages = [(path.name, Result.load(path)) for path in store.stage_folders(folder)]
         if stages:
-            rounds = [result for name, result in stages if name.endswith(("-full", "-around"))]
-            last = stages[-1][1]
-            around = stages[-1][0].endswith("-around")
-            return replace(merged(rounds) if around else last, stages=tuple(stages))
+            return replace(_last(stages), stages=tuple(stages))
         plan = store.read_plan(folder)
-        columns, there = store.read_chunks(folder, plan)
+        columns, there = chunks.read_chunks(folder, plan)
         rows = columns if there.all() else {name: values[there] for name, values in columns.items()}
         return Result(plan, rows, baseline_of(store.read_summary(folder)))
 
@@ -149,14 +109,15 @@ class Result:
         return len(self) == len(self.plan.rows)
 
     @cached_property
+    def explored(self) -> "Result":
+        """All rows of a refined sweep before the best were run once more; of any other this very result."""
+        before = [stage for stage in self.stages if not stage[0].endswith(RERUN)]
+        return self if len(before) == len(self.stages) else replace(_last(before), stages=self.stages)
+
+    @cached_property
     def hash(self) -> str:
         """sha256 over the little-endian bytes of all columns in their fixed order; that of the result itself."""
-        total = hashlib.sha256()
-        for name, column in self.plan.layout.items():
-            values = np.ascontiguousarray(self.columns[name], np.dtype(column.dtype))
-            total.update(canonical_json([name, column.dtype, list(values.shape)]).encode())
-            total.update(values.tobytes())
-        return total.hexdigest()
+        return self.plan.hash_of(self.columns)
 
     @cached_property
     def ok(self) -> np.ndarray:
@@ -174,21 +135,7 @@ class Result:
         """Stiffnesses that each row met, (rows, stiffness) [N/m]."""
         if not np.isnan(self.plan.stiffness).any():
             return np.broadcast_to(self.plan.stiffness, (len(self), len(self.plan.stiffness)))
-        worlds = np.stack([self[axis.name] for axis in self.axes if axis.of_world], axis=1)
-        found, which = np.unique(worlds, axis=0, return_inverse=True)
-        base = self.plan.canonical["experiment"]
-        sets = [world_of(base, self.axes, tuple(entries))["stiffness"] for entries in found.tolist()]
-        return np.asarray(sets, float)[which.ravel()]
-
-    @cached_property
-    def worst_rms(self) -> np.ndarray:
-        """Largest residual RMS over stiffness and axis, (rows,) [N]; ∞ unless OK at every stiffness."""
-        return self.worst("rms")
-
-    @cached_property
-    def worst_M_s(self) -> np.ndarray:  # noqa: N802 - the symbol
-        """Largest peak sensitivity over stiffness, (rows,) [-]; ∞ when unstable or ill-posed."""
-        return self.worst("M_s")
+        return stiffness_met(self.plan.canonical["experiment"], self.axes, self.columns)
 
     def worst(self, name: str) -> np.ndarray:
         """A metric or margin at its worst over stiffness and axis, (rows,); ±∞ where there is none.
@@ -295,18 +242,6 @@ class Result:
         return good
 
 
-def _joined(name: str, results: Sequence[Result]) -> SweepAxis:
-    """An axis whose points are those of every row, in order."""
-    values: list[Any] = []
-    labels: list[str] = []
-    for result in results:
-        axis = next(axis for axis in result.axes if axis.name == name)
-        entries = result[name].tolist()
-        values += entries if axis.numeric else [axis.values[int(entry)] for entry in entries]
-        labels += [axis.labels[int(entry)] for entry in entries] if axis.labels else []
-    return SweepAxis(name, axis.scale, tuple(values), axis.relative, tuple(labels))
-
-
 def merged(results: Sequence[Result]) -> Result:
     """Rows of several sweeps of the same axes as one, whose rows are numbered anew; one alone stays as it is.
 
@@ -316,11 +251,11 @@ def merged(results: Sequence[Result]) -> Result:
     first = results[0]
     if len(results) == 1:
         return first
-    columns = {name: np.concatenate([result[name] for result in results]) for name in first.columns}
-    columns["row"] = np.arange(len(columns["row"]))
-    factor = tuple(_joined(axis.name, results) for axis in first.axes)
-    columns |= {axis.name: axis.column() for axis in factor}
-    space = SweepSpace("grid", (factor,), len(columns["row"]), 0, first.plan.space.horizons)
-    canonical = {**first.plan.canonical, "space": msgspec.to_builtins(space)}
-    plan = Plan(msgspec.json.decode(msgspec.json.encode(canonical)), first.plan.files, first.goal)
-    return Result(plan, columns, first.baseline)
+    return Result(*merge([(result.plan, result.columns) for result in results]), first.baseline)
+
+
+def _last(stages: Sequence[tuple[str, Result]]) -> Result:
+    """The rows that stages have led to: of the last one, or of all rounds where rows were added around a front."""
+    if not stages[-1][0].endswith(AROUND):
+        return stages[-1][1]
+    return merged([result for name, result in stages if name.endswith((FULL, AROUND))])

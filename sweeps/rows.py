@@ -87,6 +87,22 @@ def world_of(experiment: Mapping[str, Any], axes: tuple[SweepAxis, ...], entries
     return changed(experiment, changes)
 
 
+def stiffness_met(
+    experiment: Mapping[str, Any], axes: tuple[SweepAxis, ...], columns: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Stiffnesses that rows met where they are swept, (rows, stiffness) [N/m].
+
+    Args:
+        experiment: The base's.
+        axes: What is swept.
+        columns: An entry per axis and row.
+    """
+    worlds = np.stack([columns[axis.name] for axis in axes if axis.of_world], axis=1)
+    found, which = np.unique(worlds, axis=0, return_inverse=True)
+    sets = [world_of(experiment, axes, tuple(entries))["stiffness"] for entries in found.tolist()]
+    return np.asarray(sets, float)[which.ravel()]
+
+
 def experiment_of(data: Mapping[str, Any]) -> Experiment:
     """The experiment of plain data.
 

@@ -10,15 +10,16 @@ import numpy as np
 from jaxmpc.status import Status
 from jaxmpc.terminal.progress import Tick
 from jaxmpc.terminal.progress import progress as progress_of
-from sweeps import store
+from sweeps import chunks, store
 from sweeps.compute import baseline, round_of
 from sweeps.crew import Alone, ComputedChunk, Crew
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.interrupt import gently
+from sweeps.judged import baseline_of, keeps, worst
 from sweeps.leases import SILENCE, Leases
 from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan, check_chunk, make_plan
-from sweeps.result import Result, baseline_of, keeps, worst
+from sweeps.result import Result
 from sweeps.share import Share
 from sweeps.spec import SweepSpec
 
@@ -72,7 +73,7 @@ def run(
     if chunk is not None:
         check_chunk(plan, chunk)
     store.prepare(folder, plan)
-    there = store.read_chunks(folder, plan, mend=True).there
+    there = chunks.read_chunks(folder, plan, mend=True).there
     leases = Leases(folder, silence)
     try:
         if retry:
@@ -91,7 +92,7 @@ def run(
         leases.close()
     if paced is not None:
         paced(plan, pace)
-    columns, there = store.read_chunks(folder, plan)
+    columns, there = chunks.read_chunks(folder, plan)
     if not there.all():
         return Result(plan, {name: values[there] for name, values in columns.items()})
     return _finished(folder, Result(plan, columns))
@@ -109,7 +110,7 @@ def _keep(folder: Path, plan: Plan, piece: ComputedChunk, share: Share, leases: 
         else:
             if piece.environment:
                 store.prepare(folder, plan, [piece.environment])
-            store.write_chunk(folder, plan, first, piece.last, piece.columns)
+            chunks.write_chunk(folder, plan, first, piece.last, piece.columns)
             share.done((first, piece.last))
     finally:
         share.give_back(piece.stretch)

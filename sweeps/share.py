@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sweeps import store
+from sweeps import chunks
 from sweeps.leases import Leases, Stretch
 from sweeps.plan import Plan
 
@@ -30,7 +30,7 @@ class Share:
         self.there = there.copy()
         self._taken = there.copy()
         """There, given up, or in this process's hands."""
-        self._known = {path.name for path in store.chunk_files(folder)}
+        self._known = {path.name for path in chunks.chunk_files(folder)}
         k, n = part
         self._cursor = len(there) * (k - 1) // n
 
@@ -81,7 +81,7 @@ class Share:
     def done(self, stretch: Stretch) -> None:
         """A stretch of this process's has been written."""
         self.there[slice(*stretch)] = True
-        self._known.add(f"{store.chunk_name(*stretch)}.npz")
+        self._known.add(f"{chunks.chunk_name(*stretch)}.npz")
 
     def give_back(self, stretch: Stretch) -> None:
         """Another may have what is left of a stretch."""
@@ -100,8 +100,8 @@ class Share:
 
     def _look(self) -> None:
         """What others have written since."""
-        for path in store.chunk_files(self._folder):
-            if path.name not in self._known and (stretch := store.stretch_of(path.name)):
+        for path in chunks.chunk_files(self._folder):
+            if path.name not in self._known and (stretch := chunks.stretch_of(path.name)):
                 self._known.add(path.name)
                 self.there[slice(*stretch)] = True
                 self._taken[slice(*stretch)] = True

@@ -1,13 +1,10 @@
-"""A sweep's folder: a manifest and sealed chunks; what is there and intact need not be computed again.
+"""A sweep's folder: a manifest beside its chunks, whose spec says what they are of.
 
-    manifest.json                    the canonical spec, its hash, how rows are ranked, the environments that computed
-    recordings/…                     the content of recordings that the spec names
-    chunks/000000000-000002048.npz   planned rows 0 … 2047, sealed
-    leases/, aside/                  who works on what, and what is given up (`sweeps.leases`)
-    result.json                      the hash of the result, once every row is there
-
-A chunk is named by the rows that it holds, so the chunk size may differ from run to run. Work that is done twice does
-no harm: whoever does it writes the same rows, and every write is atomic.
+manifest.json                    the canonical spec, its hash, how rows are ranked, the environments that computed
+recordings/…                     the content of recordings that the spec names
+chunks/000000000-000002048.npz   planned rows 0 … 2047, sealed (`sweeps.chunks`)
+leases/, aside/                  who works on what, and what is given up (`sweeps.leases`)
+result.json                      the hash of the result, once every row is there
 """
 
 import json
@@ -15,30 +12,19 @@ import logging
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
-import numpy as np
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.foreign import LARGEST_JSON, LARGEST_RECORDING, json_of, read_bytes, read_text
-from jaxmpc.files.sealed import LARGEST, SealError, canonical_json, digest, seal, unseal, write_atomic
+from jaxmpc.files.sealed import canonical_json, digest, write_atomic
 from sweeps.goal import SweepGoal
 from sweeps.machine import environment
-from sweeps.plan import SCHEMA, Columns, Plan
+from sweeps.plan import SCHEMA, Plan
 
-DAMAGED = ".damaged"
 REFINED = "jaxmpc-refine/1"
 log = logging.getLogger(__name__)
-
-
-class StoredChunks(NamedTuple):
-    """What a folder holds."""
-
-    columns: Columns
-    """Every column of the plan's layout; rows that are not there hold zeros."""
-    there: np.ndarray
-    """Whether each planned row is there."""
 
 
 def read_plan(folder: Path) -> Plan:
@@ -168,69 +154,12 @@ def prepare(folder: Path, plan: Plan, environments: Sequence[Mapping[str, str]] 
     (folder / "chunks").mkdir(exist_ok=True)
 
 
-def read_chunks(folder: Path, plan: Plan, *, mend: bool = False) -> StoredChunks:
-    """Every intact row of this sweep; a damaged chunk is reported and counts as absent.
-
-    Args:
-        folder: The sweep's.
-        plan: What is swept.
-        mend: Whether to put damaged chunks out of the way, to be computed again.
-    """
-    rows = len(plan.rows)
-    columns = {name: np.zeros((rows, *column.shape), column.dtype) for name, column in plan.layout.items()}
-    there = np.zeros(rows, bool)
-    for path in chunk_files(folder):
-        try:
-            first, last, arrays = _read_chunk(path, plan)
-        except FileNotFoundError:
-            continue
-        except SealError as error:
-            log.warning("%s is computed again: %s", path.name, error)
-            if mend:
-                os.replace(path, path.with_name(path.name + DAMAGED))
-            continue
-        for name, values in arrays.items():
-            columns[name][first:last] = values
-        there[first:last] = True
-    return StoredChunks(columns, there)
-
-
 def stage_folders(folder: Path) -> list[Path]:
     """Folders of the stages of a refined sweep that have begun, in order; none of a plain one."""
     stages = folder / "stages"
     # A glob may raise where there can be no such folder.
     found = sorted(stages.glob("[0-9]*")) if os.path.isdir(stages) else []
     return [path for path in found if (path / "manifest.json").exists()]
-
-
-def chunk_files(folder: Path) -> list[Path]:
-    """The chunks of a folder, by the rows that they hold."""
-    return sorted((folder / "chunks").glob("[0-9]*.npz"))
-
-
-def chunk_name(first: int, last: int) -> str:
-    """Name of a chunk, of its lease, and of what is set aside."""
-    return f"{first:09d}-{last:09d}"
-
-
-def stretch_of(name: str) -> tuple[int, int] | None:
-    """First row and the one behind the last, of a name; None if it is none of ours."""
-    first, _, last = name.partition(".")[0].partition("-")
-    return (int(first), int(last)) if first.isdigit() and last.isdigit() else None
-
-
-def write_chunk(folder: Path, plan: Plan, first: int, last: int, columns: Mapping[str, np.ndarray]) -> None:
-    """Write planned rows first … last − 1, whole or not at all.
-
-    Raises:
-        OSError: The disk is full or the folder not writable.
-    """
-    header = {"schema": SCHEMA, "spec_hash": plan.spec_hash, "first": first, "last": last}
-    path = folder / "chunks" / f"{chunk_name(first, last)}.npz"
-    # Who slept while another did its work has the same bits, and nothing to add.
-    if not path.exists():
-        write_atomic(path, seal(header, columns))
-    path.with_name(path.name + DAMAGED).unlink(missing_ok=True)
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
@@ -243,24 +172,6 @@ def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
 def read_summary(folder: Path) -> dict[str, Any]:
     """What `write_summary` wrote; empty before the sweep is finished."""
     return _read(folder / "result.json")
-
-
-def _read_chunk(path: Path, plan: Plan) -> tuple[int, int, Columns]:
-    try:
-        header, arrays = unseal(read_bytes(path, LARGEST))
-    except InputError as error:
-        raise SealError(f"{error}") from None
-    if header.get("spec_hash") != plan.spec_hash or header.get("schema") != SCHEMA:
-        raise SealError("it belongs to another sweep")
-    first, last = header.get("first"), header.get("last")
-    if type(first) is not int or type(last) is not int or not 0 <= first < last <= len(plan.rows):
-        raise SealError("it does not say which rows it holds")
-    shapes = {name: (column.dtype, (last - first, *column.shape)) for name, column in plan.layout.items()}
-    if {name: (values.dtype.str, values.shape) for name, values in arrays.items()} != shapes:
-        raise SealError("its columns are not those of this sweep")
-    if not np.array_equal(arrays["row"], plan.rows[first:last]):
-        raise SealError("its rows are not those of this sweep")
-    return first, last, arrays
 
 
 def differences(there: Any, here: Any, path: str = "") -> list[str]:

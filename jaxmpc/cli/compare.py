@@ -55,8 +55,10 @@ def run(args: argparse.Namespace) -> int:
     contenders = named([contender_from(text) for text in args.what])
     experiment = experiment_from(args.experiment)
     use_all_cores()
-    from jaxmpc.report.comparison import compared, report_of, table
+    from jaxmpc.report.compare_page import report_of
+    from jaxmpc.report.comparison import compared
     from jaxmpc.report.page import write_report
+    from jaxmpc.report.side_by_side import table
     from jaxmpc.status import Status
     from jaxmpc.terminal.tables import show
 

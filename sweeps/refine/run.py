@@ -18,7 +18,7 @@ from jaxmpc.files.sealed import digest
 from sweeps import store
 from sweeps.plan import make_plan
 from sweeps.refine.proposal import around, survivors
-from sweeps.result import Result, merged
+from sweeps.result import AROUND, FULL, RERUN, SCREEN, Result, merged
 from sweeps.run import run as run_plain
 from sweeps.spec import SweepSpec
 from sweeps.tables import RefineTable
@@ -87,23 +87,23 @@ def _legs(spec: SweepSpec, refine: RefineTable, done: list[tuple[str, Result]]) 
     wanted: tuple[int, ...] | None = None
     if refine.method == "halving":
         for i, stage in enumerate(refine.stages):
-            yield Leg(f"{i}-screen", _only(plain.on(stage.experiment), wanted))
+            yield Leg(f"{i}{SCREEN}", _only(plain.on(stage.experiment), wanted))
             wanted = survivors(done[-1][1], stage.keep)
             if not wanted:
                 raise InputError("refine.stages", f"stage {i}", "survived by a row", "No row is OK: widen the axes.")
-    yield Leg(f"{len(done)}-full", _only(plain, wanted))
+    yield Leg(f"{len(done)}{FULL}", _only(plain, wanted))
     if refine.method == "pareto":
         for number in range(1, refine.rounds + 1):
             space = around(merged([result for _, result in done]), refine.goals, refine.points, refine.seed, number)
             if space.count:
-                yield Leg(f"{len(done)}-around", replace(plain, space=space))
+                yield Leg(f"{len(done)}{AROUND}", replace(plain, space=space))
     if refine.rerun is not None:
-        before = merged([result for name, result in done if not name.endswith("screen")])
+        before = merged([result for name, result in done if not name.endswith(SCREEN)])
         best = before.best(refine.rerun.best)
         if len(best):
             again = plain.on(refine.rerun.experiment)
             space = before.plan.space if refine.method == "pareto" else plain.space
-            yield Leg(f"{len(done)}-rerun", replace(again, space=space).only(tuple(best["row"].tolist())))
+            yield Leg(f"{len(done)}{RERUN}", replace(again, space=space).only(tuple(best["row"].tolist())))
 
 
 def _only(spec: SweepSpec, rows: tuple[int, ...] | None) -> SweepSpec:

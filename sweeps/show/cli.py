@@ -108,7 +108,8 @@ def write_params(result: "Result", path: Path) -> None:
 
 def _report(result: "Result", folder: Path, args: argparse.Namespace, n: int) -> int:
     from jaxmpc.files.toml import write_toml
-    from sweeps.report import sweep_report, table
+    from sweeps.show.best_rows import table
+    from sweeps.show.report import sweep_report
 
     limit = args.max_ms
     out = args.out or folder / "report"

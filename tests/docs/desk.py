@@ -43,16 +43,16 @@ class Desk:
         """Do what a block says.
 
         Raises:
-            AssertionError: It ends with another code than 0; its last lines are in the message.
+            AssertionError: It ends with another code than its page says; its last lines are in the message.
         """
         if block.file is not None:
             (self.folder / block.file).write_text(block.text, encoding="utf-8")
         elif block.language in SHELL:
-            self.do(["bash", "-euo", "pipefail", "-c", block.text], block.place)
+            self.do(["bash", "-euo", "pipefail", "-c", block.text], block.place, block.code)
         elif block.language == "python":
-            self.do(["python", "-c", block.text], block.place)
+            self.do(["python", "-c", block.text], block.place, block.code)
 
-    def do(self, command: list[str], place: str) -> None:
+    def do(self, command: list[str], place: str, code: int = 0) -> None:
         """Run a command in the folder."""
         program = shutil.which(command[0], path=self._variables["PATH"])
         assert program, command[0]
@@ -61,7 +61,7 @@ class Desk:
             timeout=LONGEST, stdin=subprocess.DEVNULL, check=False,
         )  # fmt: skip
         said = "\n".join([*done.stdout.splitlines()[-20:], *done.stderr.splitlines()[-20:]])
-        assert done.returncode == 0, f"{place} ended with {done.returncode}:\n{said}"
+        assert done.returncode == code, f"{place} ended with {done.returncode}:\n{said}"
 
 
 def _write_heart(path: Path) -> None:

@@ -5,6 +5,7 @@ A comment right above a block, which no reader sees, says so with its reason:
     <!-- not run (hours): four tuning jobs -->                   the whole block; the word is one of NEEDS
     <!-- not run (a registry) `pip`: the tests have the extra -->   only its lines that begin so
     <!-- slow: a minute of compiling -->                         left to the slow tests
+    <!-- ends with 1: the fault that it shows -->                another exit code than 0
 """
 
 import re
@@ -19,7 +20,10 @@ from tests.sources import ROOT
 
 NEEDS = ("a robot", "a GPU", "other hosts", "a registry", "hours", "two terminals", "a clone of its own")
 """Reasons for which a block is not run."""
-MARKER = re.compile(r"<!-- (?:not run \((?P<needs>[^)]+)\)(?: `(?P<begin>[^`]+)`)?|(?P<slow>slow)): (?P<why>.+?) -->")
+MARKER = re.compile(
+    r"<!-- (?:not run \((?P<needs>[^)]+)\)(?: `(?P<begin>[^`]+)`)?|(?P<slow>slow)|ends with (?P<code>[1-9]))"
+    r": (?P<why>.+?) -->"
+)
 SHELL = ("", "sh", "bash")
 
 
@@ -35,6 +39,8 @@ class Block(NamedTuple):
     needs: str | None = None
     """Why it, or a part of it, is not run."""
     slow: bool = False
+    code: int = 0
+    """Exit code that it ends with."""
     left_out: str = ""
     """What of it is not run."""
 
@@ -80,8 +86,8 @@ def _blocks(name: str, text: str) -> Iterator[Block]:
 
 
 def _marked(block: Block, marker: re.Match[str]) -> Block:
-    if marker["slow"]:
-        return block._replace(slow=True)
+    if marker["slow"] or marker["code"]:
+        return block._replace(slow=bool(marker["slow"]), code=int(marker["code"] or 0))
     begin, lines = marker["begin"], block.text.splitlines(keepends=True)
     left_out = [line for line in lines if begin is None or line.startswith(begin)]
     assert left_out, f"{block.place}: no line begins with {begin}"

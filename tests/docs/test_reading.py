@@ -1,4 +1,4 @@
-"""README and guides do as they say: each block runs as printed, in the order printed, for a reader who has all before it."""
+"""README and guides do as they say: each block runs as printed, in the order printed, on the desk of one reader."""
 
 import pytest
 

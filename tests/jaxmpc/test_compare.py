@@ -15,7 +15,8 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import write_toml
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS, METRICS
-from jaxmpc.report.comparison import PER_AXIS, Comparison, Contender, difference, table
+from jaxmpc.report.comparison import Comparison, Contender
+from jaxmpc.report.side_by_side import PER_AXIS, difference, table
 from jaxmpc.report.thinning import thinned
 from jaxmpc.stability import Margins
 from jaxmpc.synthesis.params import Params

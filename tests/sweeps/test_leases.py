@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sweeps import store
+from sweeps.chunks import chunk_files, chunk_name, read_chunks
 from sweeps.compute import compute
 from sweeps.leases import MOST_DEATHS, Leases, given_up
 from sweeps.plan import make_plan
@@ -43,7 +43,7 @@ def dead_owner(folder: Path, stretch: tuple[int, int], warm: bool = True, deaths
     gone.wait()
     machine = Path("/proc/sys/kernel/random/boot_id").read_text().strip() + os.readlink("/proc/self/ns/pid")
     lease = {"owner": "x", "machine": machine, "pid": gone.pid, "warm": warm, "deaths": deaths, "early": early}
-    path = folder / "leases" / f"{store.chunk_name(*stretch)}.json"
+    path = folder / "leases" / f"{chunk_name(*stretch)}.json"
     path.write_text(json.dumps(lease))
     return path
 
@@ -152,9 +152,9 @@ def test_every_flipped_bit_costs_its_chunk_alone(
         bad = bytearray(good)
         bad[place // 8] ^= 1 << (place % 8)
         path.write_bytes(bad)
-        there = store.read_chunks(folder, plan).there
+        there = read_chunks(folder, plan).there
         assert np.flatnonzero(~there).tolist() == list(range(40, 80))
-    others = {each: each.stat().st_mtime_ns for each in store.chunk_files(folder) if each != path}
+    others = {each: each.stat().st_mtime_ns for each in chunk_files(folder) if each != path}
     assert run(spec, folder, chunk=40).hash == finished[1].hash
     assert path.read_bytes() == good
     assert {each: each.stat().st_mtime_ns for each in others} == others

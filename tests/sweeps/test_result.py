@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,9 +15,12 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
+from sweeps.judged import Point
 from sweeps.plan import Plan
-from sweeps.report import candidates, sweep_report, table, template
-from sweeps.result import Point, Result
+from sweeps.result import Result
+from sweeps.show.best_rows import table
+from sweeps.show.candidates import candidates, template
+from sweeps.show.report import sweep_report
 
 Finished = tuple[Path, Result]
 ROWS = 120
@@ -47,7 +51,7 @@ def test_the_front_is_the_one_of_brute_force(seed: int, finished: Finished) -> N
     assert 5 < len(expected) < 80
     front = result.pareto()
     assert sorted(front["row"]) == expected.tolist()
-    assert (np.diff(front.worst_M_s) >= 0).all()
+    assert (np.diff(front.worst("M_s")) >= 0).all()
 
 
 def test_the_best_rows_are_robust_and_ordered(finished: Finished) -> None:
@@ -57,8 +61,8 @@ def test_the_best_rows_are_robust_and_ordered(finished: Finished) -> None:
     result = made_up(points, status, finished[1].plan)
     assert result.best(10, 2.0)["row"].tolist() == [2, 1]
     assert result.best(1, 3.5)["row"].tolist() == [0]
-    assert result.worst_rms[3] == np.inf
-    assert result.worst_M_s[4] == np.inf
+    assert result.worst("rms")[3] == np.inf
+    assert result.worst("M_s")[4] == np.inf
 
 
 def test_a_row_is_a_controller(finished: Finished) -> None:
@@ -157,13 +161,27 @@ def test_a_report_has_the_rows_of_the_sweep(finished: Finished) -> None:
     by_name = {each.name: each for each in rows.measures}
     np.testing.assert_array_equal(by_name["T_cl"].values, result["T_cl"])
     np.testing.assert_allclose(by_name["M_s"].values, result["M_s"])
-    good = np.isfinite(result.worst_rms) & (result.worst_M_s <= 5.0)
+    good = np.isfinite(result.worst("rms")) & (result.worst("M_s") <= 5.0)
     np.testing.assert_array_equal(rows.feasible, good)
-    np.testing.assert_allclose(by_name["rms"].worst[good], 1e3 * result.worst_rms[good])
+    np.testing.assert_allclose(by_name["rms"].worst[good], 1e3 * result.worst("rms")[good])
     shares = rows.influence["M_s"]
     assert shares.shape == (3, 1 + 2)
     # λ and T_cl make a loop fast or slow; the horizon hardly does.
     assert shares[2, 0] < 0.1 < shares[:2, 0].max()
+
+
+@pytest.mark.parametrize(
+    ("best", "goals"),
+    [
+        ("rms", ("rms", "M_s", "chatter")),
+        ("true_rms", ("true_rms", "M_s", "chatter")),
+        ("M_s", ("M_s", "rms", "chatter")),
+    ],
+)
+def test_a_front_has_one_residual(best: str, goals: tuple[str, ...], finished: Finished) -> None:
+    result = finished[1]
+    ranked = replace(result, plan=replace(result.plan, goal=msgspec.structs.replace(result.goal, best=best)))
+    assert tuple(candidates(ranked).goals) == goals
 
 
 def test_the_params_toml_of_a_row_is_its_controller(finished: Finished, tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from jaxmpc.files.sealed import SEAL
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
+from sweeps import chunks as stored
 from sweeps import store
 from sweeps.compute import compute
 from sweeps.plan import make_plan
@@ -258,7 +259,7 @@ def test_a_dry_run_writes_nothing(
     for words in (
         "rows        120 (120 more with Hu > Hp are left out)",
         "linear on",
-        "1 programs",
+        "1 program\n",
         "7.2e+05",
         "nothing was written",
     ):
@@ -276,7 +277,7 @@ def test_ctrl_c_keeps_what_is_finished(
     tmp_path: Path,
     finished: Finished,
 ) -> None:
-    path, folder, write = write_spec(spec_text), tmp_path / "run", store.write_chunk
+    path, folder, write = write_spec(spec_text), tmp_path / "run", stored.write_chunk
 
     def interrupted(*arguments: Any) -> None:
         if len(chunks(folder)) == 2:
@@ -284,7 +285,7 @@ def test_ctrl_c_keeps_what_is_finished(
         write(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(store, "write_chunk", interrupted)
+        patch.setattr(stored, "write_chunk", interrupted)
         assert command("sweep", path, "-o", folder, "--chunk", 32, "--quiet") == 130
     assert "run the same command again" in capsys.readouterr().err
     assert len(chunks(folder)) == 2

@@ -1,0 +1,77 @@
+"""What a sweep would take, told before it is run: rows, compilations, memory, disk, time, and what computes it."""
+
+import time
+
+from sweeps import rates
+from sweeps.blocks import block_of, in_pairs, padded, programs, signal_bytes
+from sweeps.pace import CHUNK_SECONDS, Pace
+from sweeps.plan import Plan
+from sweeps.spec import SweepSpec
+
+PROCESS_MB = 500
+"""Memory of a process that has compiled something, beside its rows and signals [MB]."""
+
+
+def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
+    """What a sweep would take on this machine, for a person; nothing is written but recorded rates.
+
+    Args:
+        spec: What is swept.
+        plan: The same, resolved.
+        cores: How many compute.
+        measure: Whether to compute the first rows to find out how fast they are.
+    """
+    if measure:
+        _measured(plan, cores)
+    rows, compiled, experiment = len(plan.rows), programs(plan), plan.canonical["experiment"]
+    took = rates.estimate(plan, cores)
+    each = "rows of one world" if plan.space.of_worlds and not in_pairs(plan) else "rows"
+    way = "pairs of a controller and a world" if in_pairs(plan) else f"controllers × {_counted(plan.worlds, 'world')}"
+    memory = rows * plan.row_bytes + signal_bytes(plan) * (block_of(plan) * cores if in_pairs(plan) else 1)
+    lines = [
+        f"  engine      {experiment['physics']} on {_devices(cores)}, {way}, blocks of {block_of(plan)} {each}",
+        f"  compiles    {_counted(compiled, 'program')}",
+        f"  disk        {rows * plan.row_bytes / 1e6:.1f} MB",
+        f"  memory      {memory / 1e6 + PROCESS_MB:.0f} MB",
+        f"  axis-steps  {rows * len(plan.stiffness) * 3 * spec.experiment.steps:.3g}",
+    ]
+    if took is None:
+        lines.append("  time        unknown: nothing like it has been run on this machine; --measure finds out")
+    else:
+        parts = f"{took.compile_s:.0f} s to compile, then {took.rate:.0f} rows/s"
+        chunks = max(1, round(took.rows / took.rate / CHUNK_SECONDS))
+        lines.append(f"  time        {took.seconds:.0f} s from nothing: {parts} (from {took.like})")
+        lines.append(f"  chunks      {chunks} of some seconds each")
+    if spec.refine is not None:
+        refined = "what stands above is of all rows on the spec's own experiment"
+        lines.append(f"  refined by  {spec.refine.method}: {refined}")
+    return "\n".join([*lines, "dry run: nothing was written"])
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" + "s" * (number != 1)
+
+
+def _devices(cores: int) -> str:
+    """What computes on this machine, in words."""
+    import jax
+
+    if jax.default_backend() == "cpu":
+        return f"{cores} cores"
+    return f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
+
+
+def _measured(plan: Plan, cores: int) -> None:
+    """Compute the first rows, two rounds, and note how long they took."""
+    from jaxmpc.terminal.process import use_all_cores
+
+    use_all_cores(cores)
+    from sweeps.compute import compute, round_of
+
+    width = min(round_of(plan), len(plan.rows))
+    pace = Pace(None, width, plan.largest_chunk)
+    for _ in range(2):
+        began = time.perf_counter()
+        compute(plan, 0, width)
+        pace.tell(padded(plan, cores, 0, width), time.perf_counter() - began)
+    rates.record(plan, pace, cores)

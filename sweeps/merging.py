@@ -1,0 +1,42 @@
+"""Rows of several sweeps of the same axes as those of one."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sweeps.axis import SweepAxis
+from sweeps.plan import Columns, Plan
+from sweeps.space import SweepSpace
+
+Rows = tuple[Plan, Mapping[str, np.ndarray]]
+"""A plan, and columns of it."""
+
+
+def merge(parts: Sequence[Rows]) -> tuple[Plan, Columns]:
+    """All rows in order, numbered anew, and a plan in which they are written out.
+
+    Args:
+        parts: At least one.
+    """
+    first, all_columns = parts[0][0], [columns for _, columns in parts]
+    columns = {name: np.concatenate([each[name] for each in all_columns]) for name in all_columns[0]}
+    columns["row"] = np.arange(len(columns["row"]))
+    factor = tuple(_joined(axis.name, parts) for axis in first.space.axes)
+    columns |= {axis.name: axis.column() for axis in factor}
+    space = SweepSpace("grid", (factor,), len(columns["row"]), 0, first.space.horizons)
+    canonical = {**first.canonical, "space": msgspec.to_builtins(space)}
+    return Plan(msgspec.json.decode(msgspec.json.encode(canonical)), first.files, first.goal), columns
+
+
+def _joined(name: str, parts: Sequence[Rows]) -> SweepAxis:
+    """An axis whose points are those of every row, in order."""
+    values: list[Any] = []
+    labels: list[str] = []
+    for plan, columns in parts:
+        axis = next(axis for axis in plan.space.axes if axis.name == name)
+        entries = columns[name].tolist()
+        values += entries if axis.numeric else [axis.values[int(entry)] for entry in entries]
+        labels += [axis.labels[int(entry)] for entry in entries] if axis.labels else []
+    return SweepAxis(name, axis.scale, tuple(values), axis.relative, tuple(labels))

@@ -1,0 +1,60 @@
+"""The best rows of a sweep as a table, on a page or as text."""
+
+from typing import Any
+
+import numpy as np
+
+from jaxmpc.quantities import MARGINS, METRICS
+from jaxmpc.status import Status
+from jaxmpc.terminal import layout
+from sweeps.goal import SweepGoal
+from sweeps.result import Result
+
+RESIDUALS = ("rms", "true_rms")
+"""As the sensor reads it, which is what ranks, and of the force itself."""
+
+
+def table(result: Result, n: int = 10, max_M_s: float | None = None) -> str:
+    """The best rows as aligned text: swept parameters, worst-case residual and margins.
+
+    Args:
+        result: The sweep.
+        n: Rows at most.
+        max_M_s: Largest accepted worst-case peak sensitivity [-]; None is the spec's.
+    """
+    head, lines = rendered(result, n, max_M_s)
+    if not lines:
+        stable = int((result["status"] == Status.OK).all(axis=1).sum())
+        limit = goal_of(result, max_M_s).constraints.get("M_s", np.inf)
+        return f"no row has M_s ≤ {limit:g} at every stiffness; {stable} of {len(result)} are stable at every one"
+    return f"{caption(result, max_M_s)}\n\n{layout.table(head, lines)}"
+
+
+def caption(result: Result, max_M_s: float | None) -> str:
+    """What the table of the best rows shows."""
+    return f"best rows: {goal_of(result, max_M_s).text}; RMS, M_s and margins are the worst over stiffness (and axis)"
+
+
+def rendered(result: Result, n: int, max_M_s: float | None) -> tuple[list[str], list[list[str]]]:
+    """Headings and lines of the table of the best rows."""
+    best = result.best(n, max_M_s)
+    swept = result.axes
+    residuals = [name for name in RESIDUALS if name in result.columns]
+    margins = {name: margin for name, margin in MARGINS.items() if name in result.columns}
+    shown = [*(METRICS[name] for name in residuals), *margins.values()]
+    units = ("" if axis.unit == "-" else f" [{axis.unit}]" for axis in swept)
+    head = ["row", *(axis.name + unit for axis, unit in zip(swept, units, strict=True))]
+    head += [quantity.heading for quantity in shown]
+    columns: list[Any] = []
+    columns += [METRICS[name].times * best[name].max(axis=(1, 2)) for name in residuals]
+    columns += [margin.times * margin.worst(best[name], axis=1) for name, margin in margins.items()]
+    lines = []
+    for k, row in enumerate(best["row"]):
+        settings = [axis.label(float(best[axis.name][k])) for axis in swept]
+        lines.append([f"{row}", *settings, *(f"{column[k]:.4g}" for column in columns)])
+    return head, lines
+
+
+def goal_of(result: Result, max_M_s: float | None) -> SweepGoal:
+    """What ranks and limits the rows of a sweep, where another limit of M_s may be given."""
+    return result.goal if max_M_s is None else result.goal.limited({"M_s": max_M_s})
