@@ -11,7 +11,7 @@ DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-oracles test-slow planted-faults lint types robot-test kernel-test bench docs pins clean
+.PHONY: help demo environment test test-oracles test-slow planted-faults lint types robot-test kernel-test bench docs pins clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -20,6 +20,8 @@ help:  ## this list
 
 demo: $(SIM)  ## the whole story: sweep, tune, freeze, fly, with pictures
 	@$(VENV)/bin/jaxmpc demo
+
+environment: $(DEV)  ## what tests need, installed, and none run
 
 test: $(DEV)  ## the fast tests
 	@$(PYTEST)
@@ -48,7 +50,7 @@ robot-test: $(ROBOT)  ## the robot's tests, where only numpy, python-can and pyt
 		-o addopts="--import-mode=importlib --strict-markers" -m "not slow and not oracle and not hardware"
 
 kernel-test: $(DEV)  ## flights on a kernel's own CAN, in a virtual machine: an hour, and packages of docs/robot.md
-	@$(VENV)/bin/python -m tests.kernel $(if $(KERNELS),--kernels $(KERNELS))
+	@$(VENV)/bin/python -m tests.kernel $(if $(KERNELS),--kernels $(KERNELS)) $(if $(JOBS),--jobs $(JOBS))
 
 bench: $(DEV)  ## throughput of the linear loop and of the arm beside their peers
 	@$(VENV)/bin/python -m benchmarks.sweep_throughput

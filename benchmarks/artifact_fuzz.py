@@ -1,10 +1,11 @@
 """Loader and `check` against re-sealed artifacts: a valid seal around wrong content, a million times.
 
-    python -m benchmarks.artifact_fuzz --inputs 1000000 --minutes 60
+    python -m benchmarks.artifact_fuzz --inputs 1000000 --jobs 16 --minutes 60 --output fuzz.jsonl
 
 Counts inputs, refusals, exceptions and the longest processor time (nothing here waits); of what is accepted, what is
 changed in it and whether that is absurd: another law than the file's, a limit or a place that no arm has.
-Each input is drawn by its number alone: the same command with --first goes on elsewhere.
+Each input is drawn by its number alone, and each block of a thousand is a line of the output: the same command goes on
+where it stopped, and the lines of several machines are one result once joined.
 """
 
 import argparse
@@ -12,11 +13,14 @@ import contextlib
 import io
 import json
 import math
+import multiprocessing
 import sys
 import tempfile
 import time
 from argparse import Namespace
 from collections import Counter
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -24,14 +28,15 @@ from typing import Any
 import numpy as np
 
 from deploy.cli import check
-from deploy.controller import recomputed_margins
+from deploy.controller import golden, recomputed_margins
 from deploy.controller.arm_model import GOLDEN
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import ArtifactError, from_bytes, to_bytes
 from deploy.controller.limits import MECHANICAL_STOPS, REACH
 from deploy.controller.recomputed_margins import margins_at
-from deploy.controller.runtimes import arm_runtime
+from deploy.controller.runtimes import arm_runtime, flown_controller
 from deploy.loop.session import HEART, deepest
+from deploy.runtime.arm import ArmRuntime
 from jaxmpc.files.sealed import SEAL, seal, unseal
 from tests.deploy import made
 
@@ -43,6 +48,8 @@ SAME = 1e-6
 replayed to 1e-9 and is 40 times shorter than what forgets nothing."""
 DEEP = REACH + HEART
 """Farthest that a tip may be allowed to go down in tissue [m]."""
+BLOCK = 1000
+"""Inputs of a line of the output."""
 DULL = ("provenance", "params")
 """Tables in which nothing but words and notes can be changed: most of the time goes elsewhere."""
 
@@ -152,69 +159,119 @@ def absurd(artifact: Artifact, good: Artifact, expected: np.ndarray) -> str:
     return ""
 
 
-def main() -> int:
-    """Attack, and tell; 1 after an exception, a hang or something absurd."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--inputs", type=int, default=1_000_000)
-    parser.add_argument("--first", type=int, default=0, help="number of the first (0)")
-    parser.add_argument("--minutes", type=float, default=math.inf)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    good = made.arm_artifact(12)
-    rows = [margins_at(good, row["stiffness"]) for row in good.margins]
-    good = Artifact(**{**vars(good), "margins": rows, "floor": {"M_s": 5.0}})
-    data, expected = to_bytes(good), torques(good)
-    header, arrays = unseal(data)
-    header = json.loads(json.dumps(header))
-    remember_margins()
-    check._times = lambda artifact, count=0: [0.0] * 100  # twenty thousand steps are timed: that is no parsing
+class Attack:
+    """A process's attacks on one good controller."""
+
+    def __init__(self, seed: int) -> None:
+        """Make it, and leave out what is no parsing: twenty thousand steps that are timed, margins known already."""
+        good = made.arm_artifact(12)
+        rows = [margins_at(good, row["stiffness"]) for row in good.margins]
+        self.good = Artifact(**{**vars(good), "margins": rows, "floor": {"M_s": 5.0}})
+        self.data, self.expected, self.seed = to_bytes(self.good), torques(self.good), seed
+        header, self.arrays = unseal(self.data)
+        self.header = json.loads(json.dumps(header))
+        remember_margins()
+        remember_runtimes()
+        check._times = lambda artifact, count=0: [0.0] * 100
+
+    def block(self, first: int) -> dict[str, Any]:
+        """What came of a block of inputs, from a number on."""
+        counts = {name: Counter[str]() for name in ("tally", "refusals", "passed", "strange")}
+        longest = 0.0
+        with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
+            for number in range(first, first + BLOCK):
+                longest = max(longest, self._one(number, Path(folder) / "controller.npz", counts))
+        return {"first": first, "longest": longest, **counts}
+
+    def _one(self, number: int, path: Path, counts: dict[str, Counter[str]]) -> float:
+        """Attack with an input; the processor time that it took [s]."""
+        tally, strange = counts["tally"], counts["strange"]
+        content, what = forged(np.random.default_rng((self.seed, number)), self.data, self.header, self.arrays)
+        if content == self.data:
+            tally["the same"] += 1
+            return 0.0
+        tally["inputs"] += 1
+        start = time.process_time()
+        try:
+            found = from_bytes(content)
+        except ArtifactError as error:
+            counts["refusals"][str(error)[:24]] += 1
+            return time.process_time() - start
+        except Exception as error:
+            strange[f"{type(error).__name__}: {error} at {what}, number {number}"] += 1
+            return time.process_time() - start
+        tally["accepted by the loader"] += 1
+        path.write_bytes(content)
+        said = io.StringIO()
+        try:
+            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+                code = check.run(Namespace(artifact=path, require_signature=None))
+            taken = time.process_time() - start
+            wrong = absurd(found, self.good, self.expected)
+        except Exception as error:
+            strange[f"{type(error).__name__}: {error} at {what}, number {number}"] += 1
+            return time.process_time() - start
+        tally["refused by check" if code else "accepted by both"] += 1
+        if wrong:
+            where = "by both" if code == 0 else "by the loader alone"
+            strange[f"absurd, accepted {where}: {wrong} at {what}, number {number}"] += 1
+        if code == 0:
+            counts["passed"][what.partition(" = ")[0]] += 1
+        return taken
+
+
+_attack: Attack
+"""That of a process."""
+
+
+def _begin(seed: int) -> None:
+    global _attack
+    _attack = Attack(seed)
+
+
+def _block(first: int) -> dict[str, Any]:
+    return _attack.block(first)
+
+
+def report(blocks: Iterable[dict[str, Any]]) -> int:
+    """Print what came of all blocks; 1 after an exception, a hang or something absurd."""
     tally, refusals, passed, strange = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
-    longest, began, number = 0.0, time.monotonic(), args.first
-    with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
-        path = Path(folder) / "controller.npz"
-        for number in range(args.first, args.first + args.inputs):
-            if time.monotonic() - began > 60.0 * args.minutes:
-                break
-            dice = np.random.default_rng((args.seed, number))
-            content, what = forged(dice, data, header, arrays)
-            if content == data:
-                tally["the same"] += 1
-                continue
-            tally["inputs"] += 1
-            start = time.process_time()
-            try:
-                found = from_bytes(content)
-            except ArtifactError as error:
-                refusals[str(error)[:24]] += 1
-                longest = max(longest, time.process_time() - start)
-                continue
-            except Exception as error:
-                strange[f"{type(error).__name__}: {error} at {what}, number {number}"] += 1
-                continue
-            tally["accepted by the loader"] += 1
-            path.write_bytes(content)
-            said = io.StringIO()
-            try:
-                with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-                    code = check.run(Namespace(artifact=path, require_signature=None))
-                longest = max(longest, time.process_time() - start)
-                wrong = absurd(found, good, expected)
-            except Exception as error:
-                strange[f"{type(error).__name__}: {error} at {what}, number {number}"] += 1
-                continue
-            tally["refused by check" if code else "accepted by both"] += 1
-            if wrong:
-                where = "by both" if code == 0 else "by the loader alone"
-                strange[f"absurd, accepted {where}: {wrong} at {what}, number {number}"] += 1
-            if code == 0:
-                passed[what.partition(" = ")[0]] += 1
-    print(f"numbers {args.first} to {number}, {time.monotonic() - began:.0f} s")
+    longest = 0.0
+    for block in blocks:
+        for counter, name in ((tally, "tally"), (refusals, "refusals"), (passed, "passed"), (strange, "strange")):
+            counter.update(block[name])
+        longest = max(longest, block["longest"])
     print(", ".join(f"{key} {count}" for key, count in tally.items()))
     print(f"refused by the loader {refusals.total()}, for {len(refusals)} reasons; longest time {1e3 * longest:.0f} ms")
-    print("accepted by both: " + ", ".join(f"{what} {count}" for what, count in passed.most_common()))
+    print("accepted by both: " + ", ".join(f"{what} {count}" for what, count in passed.most_common(40)))
     print(f"exceptions and absurdities: {strange.total()}")
     print("".join(f"  {count} × {what}\n" for what, count in strange.most_common(40)), end="")
     return int(strange.total() > 0 or longest > 1.0)
+
+
+def main() -> int:
+    """Attack with what is missing, then report."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--inputs", type=int, default=1_000_000)
+    parser.add_argument("--first", type=int, default=0, help=f"number of the first, a multiple of {BLOCK} (0)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes that attack (1)")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="stop after so long; the same command goes on")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--output", type=Path, required=True, help="a line of JSON a block; what is there is kept")
+    args = parser.parse_args()
+    until = time.monotonic() + 60.0 * args.minutes
+    lines = args.output.read_text().splitlines() if args.output.exists() else []
+    blocks = {block["first"]: block for block in map(json.loads, lines)}
+    missing = [first for first in range(args.first, args.first + args.inputs, BLOCK) if first not in blocks]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(args.jobs, spawn, _begin, (args.seed,)) as pool, args.output.open("a") as out:
+        for at in range(0, len(missing), args.jobs):
+            if time.monotonic() > until:
+                break
+            for block in pool.map(_block, missing[at : at + args.jobs]):
+                blocks[block["first"]] = block
+                print(json.dumps(block), file=out, flush=True)
+    return report(blocks.values())
 
 
 def remember_margins() -> None:
@@ -228,6 +285,22 @@ def remember_margins() -> None:
         return known[key]
 
     recomputed_margins.margins_at = remembered
+
+
+def remember_runtimes() -> None:
+    """Record each law once: loader and `check` replay the same, and most inputs leave the good one as it is."""
+    known: dict[str, ArmRuntime] = {}
+
+    def remembered(artifact: Artifact) -> ArmRuntime:
+        controller = *flown_controller(artifact), artifact.preview
+        key = repr(controller)
+        if key not in known:
+            if len(known) > 100:
+                known.clear()
+            known[key] = ArmRuntime(*controller)
+        return known[key]
+
+    golden.arm_runtime = remembered
 
 
 if __name__ == "__main__":

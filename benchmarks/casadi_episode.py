@@ -16,6 +16,7 @@ import numpy as np
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
 from jaxmpc.law import force_control, torque_limits
 from jaxmpc.world import arm, drive, robot
+from jaxmpc.world.joint_acceleration import accelerate
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
 
@@ -96,7 +97,7 @@ def _step(
     passed, _ = torque_limits.limit(constants.limits, command.torque.torque, body.pending[0], Ops)
     controller = force_control.applied(controller, command, passed)
     sent = drive.send(constants.drive, passed, Ops)
-    body = robot.move(chain, kind, constants, body, sent, hearts, robot.accelerate, Ops)
+    body = robot.move(chain, kind, constants, body, sent, hearts, accelerate, Ops)
     errors = [y - w for y, w in zip(force, wanted, strict=True)]
     totals = (
         *(t + s * e * e for t, s, e in zip(totals[:3], score, errors, strict=True)),

@@ -1,21 +1,25 @@
 """A sample of how far a lying force sensor makes the robot press: words, signs, tissues, references, moments, pairs.
 
-    python -m benchmarks.lying_survey controller.npz --flights 2000 --output survey.jsonl
+    python -m benchmarks.lying_survey controller.npz --flights 2000 --jobs 16 --output survey.jsonl
 
-Each flight is drawn by its number alone, so a survey that was interrupted goes on where it stopped, and two parts that
-were flown apart are one survey. A flight takes some 2 s.
+Each flight is drawn by its number alone, so a survey that was interrupted goes on where it stopped, and parts that were
+flown apart (`--first`) are one survey once their files are joined; `--flights 0` only reports. A flight takes some 2 s.
 """
 
 import argparse
 import json
+import math
+import multiprocessing
 import sys
 import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.lying_sensor import GAP, HELD, RATE, Flown, fly, moments
+from benchmarks.lying_sensor import GAP, HELD, RATE, fly, moments
 from deploy.controller.file import load
 from jaxmpc.world.tissue import KINDS
 
@@ -79,37 +83,69 @@ def drawn(seed: int, number: int) -> Case:
     )
 
 
+class Cell(NamedTuple):
+    """A tissue; each is met once without a fault, to learn when."""
+
+    tissue: str
+    stiffness: float
+
+
 class Survey:
-    """Flights of one controller, and when each tissue is met."""
+    """Flights of one controller in processes of their own."""
 
-    def __init__(self, artifact: Any, rows: list[dict[str, Any]]) -> None:
-        """Take the controller and what was flown before: each tissue is met once without a fault to learn when."""
-        self._artifact = artifact
-        self._contacts = {(row["tissue"], row["stiffness"]): float(row["contact"]) for row in rows}
+    def __init__(self, path: Path, seed: int, jobs: int) -> None:
+        """Start the processes."""
+        self._seed, self._chunk = seed, 4 * jobs
+        self._pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin, (path,))
 
-    def contact(self, case: Case) -> float:
-        """When the tissue of a case is met [s]."""
-        key = case.tissue, case.stiffness
-        if key not in self._contacts:
-            self._contacts[key] = moments(self._artifact, case.stiffness, case.tissue, -2.0)["contact"] - 0.02
-        return self._contacts[key]
+    def contacts(self, cells: set[Cell]) -> dict[Cell, float]:
+        """When tissues are met [s]."""
+        those = sorted(cells)
+        return dict(zip(those, self._pool.map(_contact, those), strict=True))
 
-    def flown(self, case: Case, seed: int) -> Flown:
-        """One flight."""
-        contact = self.contact(case)
-        pressed = contact + abs(case.wanted) / RATE
-        end = pressed + 2.0 * HELD  # see `fly`
-        begin, over = {
-            "approach": (contact - GAP / 0.005, contact),
-            "ramp": (contact, pressed),
-            "contact": (pressed, end),
-            "retract": (end, end + RETRACTING),
-        }[case.phase]
-        at = begin + case.share * (over - begin)
-        faults = [f"force:{case.fault}@{at:.3f}"]
-        if case.pair:
-            faults.append(case.pair.format(at=f"{max(at - 0.02, 0.0):.3f}"))
-        return fly(self._artifact, tuple(faults), case.stiffness, case.tissue, case.wanted, seed=seed)
+    def rows(self, numbers: list[int], contacts: dict[Cell, float], until: float) -> Iterator[dict[str, Any]]:
+        """Flights of some numbers in their order, none begun after a time of the monotonic clock [s]."""
+        for first in range(0, len(numbers), self._chunk):
+            if time.monotonic() > until:
+                return
+            these = numbers[first : first + self._chunk]
+            cases = [drawn(self._seed, number) for number in these]
+            at = [contacts[Cell(case.tissue, case.stiffness)] for case in cases]
+            yield from self._pool.map(_row, these, cases, at, [self._seed] * len(these))
+
+
+_artifact: Any = None
+"""Controller of a process that flies."""
+
+
+def _begin(path: Path) -> None:
+    global _artifact
+    _artifact = load(path)
+
+
+def _contact(cell: Cell) -> float:
+    return moments(_artifact, cell.stiffness, cell.tissue, -2.0)["contact"] - 0.02
+
+
+def _row(number: int, case: Case, contact: float, seed: int) -> dict[str, Any]:
+    flown = fly(_artifact, faults_of(case, contact), case.stiffness, case.tissue, case.wanted, seed=seed + number)
+    came = {"contact": contact, "push": round(flown.push, 4), "reason": str(flown.reason)}
+    return {"number": number, **case._asdict(), **came}
+
+
+def faults_of(case: Case, contact: float) -> tuple[str, ...]:
+    """The faults of a case, in the twin's words, where the tissue is met at a time [s]."""
+    pressed = contact + abs(case.wanted) / RATE
+    end = pressed + 2.0 * HELD  # see `fly`
+    begin, over = {
+        "approach": (contact - GAP / 0.005, contact),
+        "ramp": (contact, pressed),
+        "contact": (pressed, end),
+        "retract": (end, end + RETRACTING),
+    }[case.phase]
+    at = begin + case.share * (over - begin)
+    pair = case.pair.format(at=f"{max(at - 0.02, 0.0):.3f}")
+    return (f"force:{case.fault}@{at:.3f}", *((pair,) if pair else ()))
 
 
 def report(rows: list[dict[str, Any]], limit: float) -> int:
@@ -144,29 +180,29 @@ def main() -> int:
     parser.add_argument("--flights", type=int, default=2000)
     parser.add_argument("--first", type=int, default=0, help="number of the first (0)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1, help="processes that fly (1)")
     parser.add_argument("--output", type=Path, required=True, help="a line of JSON a flight; what is there is kept")
-    parser.add_argument("--minutes", type=float, help="stop after so long; the same command goes on from there")
+    parser.add_argument(
+        "--minutes", type=float, default=math.inf, help="stop after so long; the same command goes on from there"
+    )
     args = parser.parse_args()
-    artifact = load(args.artifact)
-    assert artifact.arm is not None
+    arm, until = load(args.artifact).arm, time.monotonic() + 60.0 * args.minutes
+    assert arm is not None
     lines = args.output.read_text().splitlines() if args.output.exists() else []
-    rows = [json.loads(line) for line in lines]
-    survey, began = Survey(artifact, rows), time.monotonic()
-    done = {row["number"] for row in rows}
-    with args.output.open("a") as out:
-        for number in range(args.first, args.first + args.flights):
-            if number in done:
-                continue
-            if args.minutes is not None and time.monotonic() - began > 60.0 * args.minutes:
-                break
-            case = drawn(args.seed, number)
-            flown = survey.flown(case, args.seed + number)
-            came = {"contact": survey.contact(case), "push": flown.push, "reason": str(flown.reason)}
-            rows.append({"number": number, **case._asdict(), **came})
-            print(json.dumps(rows[-1]), file=out, flush=True)
-            if sys.stderr.isatty():
-                print(f"\r{len(rows)} of {args.flights} flights", end="", file=sys.stderr)
-    return int(report(rows, artifact.arm.limits.force) > 0)
+    rows = {row["number"]: row for row in map(json.loads, lines)}
+    missing = [number for number in range(args.first, args.first + args.flights) if number not in rows]
+    if missing:
+        survey = Survey(args.artifact, args.seed, args.jobs)
+        known = {Cell(row["tissue"], row["stiffness"]): row["contact"] for row in rows.values()}
+        cases = [drawn(args.seed, number) for number in missing]
+        known |= survey.contacts({Cell(case.tissue, case.stiffness) for case in cases} - set(known))
+        with args.output.open("a") as out:
+            for row in survey.rows(missing, known, until):
+                rows[row["number"]] = row
+                print(json.dumps(row), file=out, flush=True)
+                if sys.stderr.isatty():
+                    print(f"\r{len(rows)} flights", end="", file=sys.stderr)
+    return int(report(list(rows.values()), arm.limits.force) > 0)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from jaxmpc.stability import Margins, margins
     from jaxmpc.status import Status
     from jaxmpc.synthesis import design
-    from jaxmpc.synthesis.params import Params, Timing
+    from jaxmpc.synthesis.params import Params
+    from jaxmpc.synthesis.timing import Timing
     from jaxmpc.terminal.process import remember_programs
 
 __version__ = "0.1.0"
@@ -25,7 +26,7 @@ _HOME = {
     "Outcome": "jaxmpc.closed_loops",
     "Params": "jaxmpc.synthesis.params",
     "Status": "jaxmpc.status",
-    "Timing": "jaxmpc.synthesis.params",
+    "Timing": "jaxmpc.synthesis.timing",
     "design": "jaxmpc.synthesis",
     "evaluate": "jaxmpc.evaluation",
     "margins": "jaxmpc.stability",

@@ -46,7 +46,7 @@ def compute(plan: Plan, first: int, last: int) -> Columns:
     """
     site = _site(plan.spec_hash, plan)
     rows = site.plan.rows[first:last]
-    swept = site.plan.space.columns(rows)
+    swept = {name: entries[first:last] for name, entries in site.swept.items()}
     layout = site.plan.layout
     found = {name: np.zeros((len(rows), *column.shape), column.dtype) for name, column in layout.items()}
     found |= {"row": rows, **swept}
@@ -80,6 +80,8 @@ class _Site:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
+        # At once: of a sample the whole is drawn for any part.
+        self.swept = plan.space.columns(plan.rows)
         self._folder = Path()
         if plan.files:
             self._folder = Path(tempfile.mkdtemp(prefix="jaxmpc-sweep-"))

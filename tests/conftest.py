@@ -1,12 +1,25 @@
 """Settings of every test; the robot's tests run where neither jax nor hypothesis is installed."""
 
 import os
+from collections.abc import Iterator
 from importlib.util import find_spec
+from tempfile import TemporaryDirectory
+
+import pytest
 
 if find_spec("jax"):
-    # What another run compiled would hide what this one does, and the user's cache is not ours to fill.
+    # The user's cache is not ours to fill, nor is that of an earlier run to be trusted. What one process of this run
+    # compiles serves the others, and its worker processes inherit the folder; .ci/run has one for all of its stages.
+    if "TEST_PROGRAMS" not in os.environ:
+        _programs = TemporaryDirectory(prefix="jaxmpc-programs-")
+        os.environ["TEST_PROGRAMS"] = _programs.name
+    # Commands that a test starts as processes of their own compile all they run, as on a user's first day.
     os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
     import jax
+
+    jax.config.update("jax_enable_compilation_cache", True)
+    jax.config.update("jax_compilation_cache_dir", os.environ["TEST_PROGRAMS"])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
     if jax.__version_info__ < (0, 11):
         # Tests compile more than they run, and this XLA takes twice as long without its older code generator.
@@ -29,3 +42,17 @@ if find_spec("hypothesis"):
     # No deadline: a first example compiles. Derandomised: the same tree gives the same verdict.
     hypothesis.settings.register_profile("jaxmpc", deadline=None, derandomize=True, database=None)
     hypothesis.settings.load_profile("jaxmpc")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def traced_anew() -> Iterator[None]:
+    """Every process traces what it runs: what the command line keeps might be of functions that a test replaced."""
+    if not find_spec("jax"):
+        yield
+        return
+    from jaxmpc.xla import store
+
+    keep_in = store.keep_in
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(store, "keep_in", lambda folder: keep_in(None))
+        yield

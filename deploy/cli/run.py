@@ -148,11 +148,13 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
 def _twin(args: argparse.Namespace) -> tuple[Any, Any]:
     """A twin's clock and bus."""
     from deploy.twin.lockstep import LockstepBus, LockstepClock
-    from deploy.twin.scenario import twin_settings
+    from deploy.twin.scenario import twin_settings, unlike_the_simulation
     from deploy.twin.twin import Twin
 
     world = {"stiffness": args.stiffness, "rhythm": args.rhythm, "seed": args.seed, "faults": tuple(args.fault)}
     clock = LockstepClock(Twin(twin_settings(args.experiment, **world)))
+    if said := unlike_the_simulation(args.experiment, args.rhythm):
+        print(said)
     return clock, LockstepBus(clock)
 
 

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deploy.controller.artifact import Artifact
+from deploy.runtime.straightline import map_leaves
 from jaxmpc.law import cascade
-from jaxmpc.law.force_filter import FilteredForce
-from jaxmpc.law.gains import Gains, constant_reference, order
+from jaxmpc.law.gains import Gains, constant_reference
 from jaxmpc.quantities import MARGINS
 
 SAME: Mapping[str, tuple[float, float]] = {
@@ -115,27 +115,24 @@ def _contact(artifact: Artifact, stiffness: float) -> TipOnTissue:
 
 def _cut(gains: Gains, contact: TipOnTissue, at_a: bool) -> OpenLoop:
     """The loop's matrices, column by column."""
-    trends = order(gains) - 1
-    size = 6 + trends + (2 if gains.force_filter is not None else 0)
-    inputs = np.eye(size + 6 + 1)
+    size = len(_numbers(cascade.init(gains, 0.0)))
     columns = []
-    for vector in inputs.tolist():
-        *controller, w = vector
-        following, out = _step(gains, contact, controller[:size], controller[size:], trends, w, at_a)
+    for vector in np.eye(size + 6 + 1).tolist():
+        *state, w = vector
+        following, out = _step(gains, contact, state[:size], state[size:], w, at_a)
         columns.append([*following, out])
     whole = np.array(columns).T
     return OpenLoop(whole[:-1, :-1], whole[:-1, -1], whole[-1, :-1], float(whole[-1, -1]))
 
 
 def _step(
-    gains: Gains, contact: TipOnTissue, controller: list[float], tip: list[float], trends: int, w: float, at_a: bool
+    gains: Gains, contact: TipOnTissue, controller: list[float], tip: list[float], w: float, at_a: bool
 ) -> tuple[list[float], float]:
     """A sample of the loop that is cut: the next state, and what came to the cut."""
-    y, ydot, delayed, p_hat, u, v, *rest = controller
-    filtered = FilteredForce(*rest[trends:]) if rest[trends:] else None
+    numbers = iter(controller)
+    state: cascade.AxisState = map_leaves(lambda _: next(numbers), cascade.init(gains, 0.0))
     # Without gain (MPC alone) the active state stays at its start, zero: it is no mode of the loop.
-    active = p_hat if gains.K[3] else 0.0
-    state = cascade.AxisState((y, ydot, delayed), active, u, v, tuple(rest[:trends]), filtered)
+    state = state if gains.K[3] else state._replace(p_hat=0.0)
     x, xdot, velocity, force, newest, older = tip
     force = contact.stiffness * x + contact.sensor_pole * (force - contact.stiffness * x)
     velocity = xdot + contact.velocity_pole * (velocity - xdot)
@@ -143,9 +140,15 @@ def _step(
     damping = contact.K2 * velocity
     applied = older if contact.late else newest
     x, xdot = x + contact.phi[0] * xdot + contact.gamma[0] * applied, contact.phi[1] * xdot + contact.gamma[1] * applied
-    of_filter = [] if state.filtered is None else list(state.filtered)
-    following = [*state.x_hat, state.p_hat, state.u, state.v, *state.trend, *of_filter]
-    return [*following, x, xdot, velocity, force, w if at_a else w - damping, newest], v - damping if at_a else v
+    moved = [x, xdot, velocity, force, w if at_a else w - damping, newest]
+    return [*_numbers(state), *moved], v - damping if at_a else v
+
+
+def _numbers(state: cascade.AxisState) -> list[float]:
+    """All that an axis remembers."""
+    found: list[float] = []
+    map_leaves(found.append, state)
+    return found
 
 
 def _margins(loop: OpenLoop, T_s: float) -> dict[str, float]:

@@ -22,6 +22,7 @@ from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import Observations, OperatingState, SafetyState, Task
 from deploy.safety.plausible import EncoderState, ForceState, beyond_stop, encoder_step, force_step
 from deploy.safety.reasons import Reason
+from deploy.safety.runaway import runaway_step
 from deploy.wam.arm import Reading, WamArm
 from deploy.wam.encoder_bridge import EncoderBridge
 from deploy.wam.tip_pose import TipKinematics
@@ -70,7 +71,11 @@ class CycleResult(NamedTuple):
 
 
 class Cycle:
-    """Runs the control cycle of the robot, apart from its timing."""
+    """Runs the control cycle of the robot, apart from its timing.
+
+    Attributes:
+        balance: What the motors tell of the force sensor.
+    """
 
     def __init__(
         self,
@@ -111,7 +116,8 @@ class Cycle:
         self._bridge = EncoderBridge(arm.counts)
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
-        self._estimate, self._balance, self._deepest = estimate, BalanceState(), deepest
+        self._estimate, self.balance, self._deepest = estimate, BalanceState(), deepest
+        self._runaway = 0
         self._age, self._hazards = [0] * 4, Hazards(arm, T_s)
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
@@ -130,11 +136,13 @@ class Cycle:
         qd = runtime.velocity(q) if age <= machine.BRIDGED else ZERO
         kinematics = self._tip_kinematics(q, qd)
         force, doubt = self._force(reading, kinematics)
-        unbalanced = self._weighed(q, qd, force, age, timing.missed)
+        unbalanced = self._weighed(q, qd, kinematics.velocity, force, age, timing.missed)
+        if self.safety_state.state is OperatingState.CONTACT:
+            self._runaway, runaway = runaway_step(self._runaway, runtime.last_a)
+            too_deep = self.controller.depth(kinematics.tip) > self._deepest
+            unbalanced = runaway or (Reason.FORCE_MODEL if too_deep else unbalanced)
         if doubt is Reason.NONE:
             doubt = unbalanced
-        if doubt is Reason.NONE and self.controller.depth(kinematics.tip) > self._deepest:
-            doubt = Reason.FORCE_MODEL
         hazard, detail = self._hazards.judge(reading, timing, min(self._age))
         if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._hazards.lately):
             danger = Reason.LATE
@@ -179,7 +187,9 @@ class Cycle:
             self.controller.runtime.applied(applied)
         return CycleResult(frame, self.safety_state, task, acted, q, qd, kinematics, force, wanted, applied)
 
-    def _weighed(self, q: Vector4, qd: Vector4, force: Vector3 | None, age: int, missed: int) -> Reason:
+    def _weighed(
+        self, q: Vector4, qd: Vector4, velocity: Vector3, force: Vector3 | None, age: int, missed: int
+    ) -> Reason:
         """Whether the motors' torques agree with the measured force."""
         estimate, now = self._estimate, self.safety_state.state
         if estimate is None:
@@ -195,7 +205,7 @@ class Cycle:
         if not (approaching or now is OperatingState.CONTACT):
             return Reason.NONE
         normal = self.controller.contacting.normal
-        self._balance, reason = balance_step(self._balance, told, force, normal, approaching, self._T_s)
+        self.balance, reason = balance_step(self.balance, told, force, velocity, normal, approaching, self._T_s)
         return reason or Reason.NONE
 
     def _positions(self, reading: Reading, missed: int) -> tuple[Reason, int, int]:

@@ -24,9 +24,15 @@ ARMED_PATIENCE = 600_000
 """Cycles for which the pendant and the operator are waited for, ten minutes at 1 kHz."""
 CONTACT_CYCLES = 3
 """Cycles in a row above the contact threshold that make a contact."""
-BRAKES = frozenset({Reason.JOINT_VELOCITY, Reason.TIP_VELOCITY, Reason.ELBOW_VELOCITY, Reason.WORKSPACE})
-"""Faults after which the arm brakes and withdraws while its positions are fresh: one that only bears its weight coasts
-on into the tissue, with 29 N where braking leaves 9 N (a force 20 ms old, on a stiffening tissue)."""
+BRAKES = frozenset(
+    {
+        *(Reason.JOINT_VELOCITY, Reason.TIP_VELOCITY, Reason.ELBOW_VELOCITY, Reason.WORKSPACE),
+        *(Reason.POSITION_OLD, Reason.LATE),
+    }
+)
+"""Faults after which the arm brakes and withdraws while its positions are fresh, or once they are again: one that only
+bears its weight coasts on into the tissue, with 29 N where braking leaves 9 N (a force 20 ms old, on a stiffening
+tissue), and waits there for the heart: 10 N, and 28 N when it is let go at last."""
 
 
 class OperatingState(StrEnum):

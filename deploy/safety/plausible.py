@@ -29,9 +29,9 @@ FORCE_LOST = 3
 """Missing samples in a row that are too many; one or two are bridged by the observer's prediction."""
 FORCE_RANGE = 120.0
 """Beyond this no sensor here measures [N]: Barrett's counts end at 128 N, and ours never come near."""
-FORCE_JUMP = 1.5
-"""Largest change of an axis per sample [N]. A clean run changes it by 0.08 N at most, a tool of 0.2 kg beyond the
-sensor by 1 N; a jump of 10 N, a flipped sign of a 5 N push and half its scale change it by 2.5 N or more."""
+FORCE_JUMP, FORCE_JUMP_LOST = 0.625, 1.5
+"""Largest change of an axis from one sample to the next, and whatever was lost in between [N]. A clean run changes it
+by 0.17 N at most; a flipped sign of 0.4 N and half the scale of 1.3 N change it by more."""
 STUCK = 12
 """Equal samples of all three axes in a row that no live sensor gives; `repeats` says how likely they are."""
 SLOW = 24
@@ -91,7 +91,7 @@ def force_step(
     equal, repeated = 1, max(state.repeated - 1, 0)
     if state.last is not None:
         jump = max(abs(x - state.last[0]), abs(y - state.last[1]), abs(z - state.last[2]))
-        if jump > FORCE_JUMP:
+        if jump > min((1 + state.missing) * FORCE_JUMP, FORCE_JUMP_LOST):
             return state, Reason.FORCE_JUMP
         if jump == 0.0:
             equal, repeated = state.equal + 1, state.repeated + 2

@@ -4,6 +4,7 @@ start ─► armed ─► pendant pressed ─► approach ─► contact, for so
 """
 
 import hashlib
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from deploy.safety.reasons import Reason
 from deploy.twin.lockstep import LockstepBus, LockstepClock
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
+from deploy.twin.world import Truth
 
 ACTIVATED = 100
 """Cycles in ARMED after which the pendant is pressed."""
@@ -38,6 +40,8 @@ class TwinFlight:
     ended: RunResult
     said: str
     """Sentence on the recording."""
+    began: float
+    """Time of the twin, and of its heart, when contact began [s]; NaN if it never did."""
     time: np.ndarray
     """Since contact (n,) [s]."""
     signals: dict[str, np.ndarray]
@@ -114,17 +118,19 @@ def fly(controller: Path, settings: TwinSettings, reference: str, seconds: float
     session, bus = started(artifact, clock, reference, RATE, seconds=seconds + APPROACHING)
     pilot = Pilot(session, clock.twin, seconds)
     contact: list[bool] = []
-    truth: list[tuple[float, ...]] = []
+    truth: list[Truth] = []
 
     def each(result: CycleResult) -> OperatorCommand:
         contact.append(result.safety_state.state is OperatingState.CONTACT)
         if contact[-1]:
-            truth.append(clock.twin.truth().force)
+            truth.append(clock.twin.truth())
         return pilot(result)
 
     ended = session.run(OperatorCommand(True, True), None, each)
     bus.close()
     said = session.write(recording, hashlib.sha256(controller.read_bytes()).hexdigest(), ended.safety_state)
     signals = {name: rows[contact] for name, rows in session.recorder.signals().items()}
+    began = truth[0].time if truth else math.nan
     time = artifact.T_s * np.arange(len(truth))
-    return TwinFlight(ended, said, time, signals, np.array(truth).reshape(-1, 3))
+    forces = np.array([now.force for now in truth]).reshape(-1, 3)
+    return TwinFlight(ended, said, began, time, signals, forces)

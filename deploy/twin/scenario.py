@@ -88,9 +88,22 @@ def twin_settings(
     return TwinSettings(**settings, seed=seed, **others)
 
 
+def unlike_the_simulation(experiment: str | None, rhythm: str | None) -> str:
+    """A sentence on what the twin's heart does otherwise than the experiment says; empty where it does the same."""
+    if experiment is None or rhythm is not None:
+        return ""
+    motion = read_toml(_file_of(experiment)).get("motion", {})
+    if motion.get("kind") != "recording" or motion.get("repeat", False):
+        return ""
+    return (
+        f"{experiment} plays {motion['file']} once; the twin, which has no end, repeats it, faded to rest at both ends "
+        "with a rest between: set motion.repeat = true, and the simulation does so too"
+    )
+
+
 def _of_experiment(name: str) -> dict[str, Any]:
     """Settings of the world in an experiment; of the controller's share in it the twin knows nothing."""
-    path = Path(name) if name.endswith(".toml") or "/" in name or Path(name).is_file() else _published(name)
+    path = _file_of(name)
     data = read_toml(path)
     with located(path):
         arm: ArmSettings = _table(data, "arm", ArmSettings)
@@ -105,6 +118,12 @@ def _of_experiment(name: str) -> dict[str, Any]:
         settings |= {key: tuple(value) if key == "lsb" else value for key, value in sensor.items() if value is not None}
         settings |= {"stiffness": float(data["stiffness"][0])} if data.get("stiffness") else {}
         return settings | ({"delay": data["delay"]} if "delay" in data else {})
+
+
+def _file_of(experiment: str) -> Path:
+    """A path as it is, else the file of that published experiment."""
+    path = Path(experiment)
+    return path if experiment.endswith(".toml") or "/" in experiment or path.is_file() else _published(experiment)
 
 
 def _table(data: dict[str, Any], key: str, kind: Any) -> Any:

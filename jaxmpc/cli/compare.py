@@ -91,16 +91,13 @@ def contender_from(text: str) -> "Contender":
     """
     from jaxmpc.report.comparison import Contender
     from jaxmpc.synthesis.params import Params
-    from jaxmpc.terminal.arguments import params_from
+    from jaxmpc.terminal.arguments import params_from, tuned_file
 
     name, equals, rest = text.partition("=")
     given, place = (name, rest) if equals else ("", text)
     path = Path(place)
     if path.is_dir():
-        file = path / "params.toml"
-        if not file.is_file():
-            remedy = "It is written where every goal is met; its report says what was missed."
-            raise InputError("tuning folder", path, "one with a params.toml", remedy)
+        file = tuned_file(path)
         return Contender(given or path.name, Params.from_toml(file), f"tuned, {file}")
     if path.suffix == ".npz":
         from deploy.controller.file import ArtifactError, load

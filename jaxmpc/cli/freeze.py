@@ -2,12 +2,19 @@
 
 import argparse
 import math
+import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import HIGHEST_M_S, MARGINS
 from jaxmpc.terminal.progress import said_after
 
+if TYPE_CHECKING:
+    from jaxmpc.experiment import Experiment
+    from jaxmpc.synthesis.params import Params
+
+EXPERIMENT = "table-1"
 FLOOR_FLAGS = {
     "M_s": "--max-ms",
     "gain_margin_db": "--min-gain-db",
@@ -21,12 +28,17 @@ FLOOR_FLAGS = {
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
-    parser.add_argument("params", help="a params.toml, or a published set: text, printed, cautious")
+    parser.add_argument(
+        "params",
+        help="a params.toml, a published set (text, printed, cautious, family, …), or the folder of a tuning run or, "
+        "with --row, of a sweep",
+    )
+    parser.add_argument("--row", type=int, metavar="N", help="which row of a sweep; `jaxmpc sweep best DIR` lists some")
     parser.add_argument("-o", "--output", type=Path, default=Path("controller.npz"), help="(controller.npz)")
     parser.add_argument(
         "--experiment",
-        default="table-1",
-        help="its stiffnesses are the promise (table-1, which only replays; to drive an arm: table-1-wam)",
+        help="its stiffnesses are the promise (table-1, which only replays; of a row the one that it met; to drive an "
+        "arm: table-1-wam)",
     )
     parser.add_argument("--limits", type=Path, metavar="TOML", help="limits on the arm that differ from the default")
     parser.add_argument("--ideal", action="store_true", help="declare the margins of the ideal loop, not as it runs")
@@ -42,7 +54,6 @@ def run(args: argparse.Namespace) -> int:
     """Design, judge, freeze; an unstable controller or one below its floor is refused with exit code 2."""
     from jaxmpc.export.freezing import freeze_controller
     from jaxmpc.files.outputs import check_file
-    from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
@@ -52,8 +63,9 @@ def run(args: argparse.Namespace) -> int:
         if value is not None and not 0.0 < value < math.inf:
             raise InputError(FLOOR_FLAGS[name], value, "positive and finite", "Leave it out to promise nothing of it.")
     floor = {name: value / MARGINS[name].times for name, value in given.items() if value is not None}
-    params, experiment = params_from(args.params), experiment_from(args.experiment)
-    with said_after(f"designing {args.params}, judging it on {experiment.name}, recording its golden trace …"):
+    params, experiment = _chosen(args)
+    what = args.params if args.row is None else f"row {args.row} of {args.params}"
+    with said_after(f"designing {what}, judging it on {experiment.name}, recording its golden trace …"):
         artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal, limits=args.limits)
     loop = "ideal loop" if args.ideal else "loop as it runs"
     worst = max(row["M_s"] for row in artifact.margins)
@@ -64,3 +76,28 @@ def run(args: argparse.Namespace) -> int:
         print(f"drives a {artifact.arm.robot}; a force above {limit:g} N ends the run (docs/robot.md)")
     print(f"`jaxmpc check {args.output}` replays it anywhere")
     return 0
+
+
+def _chosen(args: argparse.Namespace) -> "tuple[Params, Experiment]":
+    """Controller and experiment that were asked for.
+
+    Raises:
+        InputError: One of them is none, or --row does not go with what was given.
+    """
+    from jaxmpc.terminal.arguments import experiment_from, params_from
+
+    folder = Path(args.params)
+    swept = os.path.exists(folder / "manifest.json") or os.path.isdir(folder / "stages")
+    if args.row is not None and not swept:
+        raise InputError("--row", args.row, "given with the folder of a sweep", f"{folder} is none: leave --row out.")
+    if args.row is None:
+        if swept:
+            remedy = f"Add --row N; `jaxmpc sweep best {folder}` lists the best."
+            raise InputError("--row", "missing", "the row of the sweep to freeze", remedy)
+        return params_from(args.params), experiment_from(args.experiment or EXPERIMENT)
+    from sweeps.result import Result
+
+    result = Result.load(folder)
+    place = result.place(args.row)
+    met = experiment_from(args.experiment) if args.experiment else result.experiment(place)
+    return result.controller(place), met

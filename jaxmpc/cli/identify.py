@@ -1,21 +1,29 @@
 """`jaxmpc identify`: joint friction from a recording, its table and its figure."""
 
 import argparse
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.terminal.progress import said_after
 
 if TYPE_CHECKING:
     from jaxmpc.identify.identification import FrictionEstimate, Identification
 
+EXAMPLES = Path(str(resources.files("jaxmpc"))) / "examples"
+SAMPLE = "twin-motion"
+"""Name of the recording that comes with the program."""
 SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     columns = "t [s], q1…q4 [rad], tau1…tau4 [N m]"
-    parser.add_argument("recording", type=Path, help=f"CSV or npz of motion without contact: {columns}")
+    parser.add_argument(
+        "recording",
+        help=f"CSV or npz of motion without contact: {columns}; or {SAMPLE}, a sample to try, made by the twin",
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path("friction.toml"), help="(friction.toml)")
     parser.add_argument("--figure", type=Path, help="measured and fitted friction over velocity")
 
@@ -27,18 +35,27 @@ def run(args: argparse.Namespace) -> int:
 
     check_file("-o", args.output)
     check_file("--figure", args.figure, *SUFFIXES)
-    recording = read_recording(args.recording)
+    path = _file_of(args.recording)
+    recording = read_recording(path)
     try:
-        found = identify(recording)
+        with said_after(f"fitting friction to {len(recording.t)} samples …"):
+            found = identify(recording)
     except InputError as error:
-        raise error.at(args.recording) from None
+        raise error.at(path) from None
     _show(found)
+    if args.recording == SAMPLE:
+        print("this recording was made by the twin of the arm (deploy/twin/own_motion.py): it tells of no robot")
     write(args.output, found)
     print(f"friction: {args.output}")
     if args.figure:
         _draw(args.figure, found)
         print(f"figure: {args.figure}")
     return 0
+
+
+def _file_of(recording: str) -> Path:
+    """A path as it is, unless it is the name of the sample."""
+    return EXAMPLES / f"{SAMPLE}.csv" if recording == SAMPLE else Path(recording)
 
 
 def _show(found: "Identification") -> None:

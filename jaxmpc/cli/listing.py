@@ -51,7 +51,7 @@ def _jobs() -> dict[str, str]:
 
 
 def _params() -> dict[str, str]:
-    from jaxmpc.synthesis.params import PUBLISHED
+    from jaxmpc.synthesis.published import PUBLISHED
 
     return dict(PUBLISHED)
 
@@ -66,6 +66,12 @@ def _rhythms() -> dict[str, str]:
     rhythms = {name: told.get(f"rhythm-{name}", "") for name in names}
     hearts = dict(zip(HEARTS, ("The seven peaks of the paper's Fig. 4.", "The heart at rest."), strict=True))
     return hearts | rhythms | {name: told[name] for name in SCENARIOS}
+
+
+def _recordings() -> dict[str, str]:
+    from jaxmpc.cli.identify import SAMPLE
+
+    return {SAMPLE: "The arm's own motion without contact, made by the twin."}
 
 
 def _tissues() -> dict[str, str]:
@@ -92,6 +98,7 @@ KINDS: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
     "params": ("parameter sets, for simulate --params, freeze, trials, limit --params", _params),
     "jobs": ("jobs that come with the program: *-tune for tune, *-sweep to copy for sweep", _jobs),
     "rhythms": ("hearts, for twin --rhythm, run --rhythm", _rhythms),
+    "recordings": ("recordings to try, for identify", _recordings),
     "tissues": ("laws of the tissue, for twin --tissue and [tissue] of an experiment", _tissues),
 }
 """What is listed under which heading."""

@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
 def _label(given: str, params: "Params") -> str:
     """What a parameter set is called beside others: its published name, or its file's with the start of its hash."""
     from jaxmpc.files.sealed import digest
-    from jaxmpc.synthesis.params import PUBLISHED
+    from jaxmpc.synthesis.published import PUBLISHED
 
     return given if given in PUBLISHED else f"{Path(given).stem}-{digest(params.to_dict())[:6]}"
 

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 
 from jaxmpc.law.chain import Chain, inverse_dynamics, pose, with_point_mass
 from jaxmpc.law.scalar import Vector, solve_ldl
-from jaxmpc.world.robot import factored
+from jaxmpc.world.joint_acceleration import factored
 
 
 def implicit(
     chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Any, viscous: Vector, share: Any, ops: Any
 ) -> Vector:
-    """`jaxmpc.world.robot.accelerate`, with a derivative that never goes through the factorisation.
+    """`jaxmpc.world.joint_acceleration.accelerate`, with a derivative that never goes through the factorisation.
 
     From r(q, q̇, q̈) = (M + share D) q̈ + c + D q̇ = τ follows dq̈ = (M + share D)⁻¹ (dτ − dr at fixed q̈): the tangent
     of one Newton–Euler recursion and one more solve with the same factors. The rule is linear in the tangents,

@@ -18,7 +18,7 @@ from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell
 from jaxmpc.metrics import Metrics, metrics, no_joints
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import Contact
-from jaxmpc.world.robot import accelerate
+from jaxmpc.world.joint_acceleration import accelerate
 from jaxmpc.xla import ops
 
 ARM, AXIS = Shape(64, 2), Shape(64, 1)

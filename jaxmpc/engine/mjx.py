@@ -41,7 +41,7 @@ class Mjx(Engine):
 def accelerate(
     chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Any, viscous: Vector, share: Any, ops: Any
 ) -> Vector:
-    """`jaxmpc.world.robot.accelerate` by stock MJX; for Euler without cable mode.
+    """`jaxmpc.world.joint_acceleration.accelerate` by stock MJX; for Euler without cable mode.
 
     Its q̈ is what the step gained in velocity per second, so Euler's update arrives exactly where MJX does.
     """

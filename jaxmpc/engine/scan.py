@@ -11,7 +11,7 @@ from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import ArmLoop
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import Contact
-from jaxmpc.world.robot import Accelerate
+from jaxmpc.world.joint_acceleration import Accelerate
 from jaxmpc.xla.cse import sharing
 
 

@@ -1,6 +1,8 @@
 """What an experiment's tables make: the structure of its robot, and the robot's constants."""
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,7 +56,7 @@ def robot_of(experiment: Experiment) -> Robot:
         ),
         momentum_bandwidth=arm.momentum_observer,
         posture=posture,
-        touch=tuple(map(float, tip_at(posture))),
+        touch=_at_rest(posture).tip,
         extra_delay=float(experiment.delay - 1),
     )
 
@@ -80,6 +82,17 @@ def _most(limits: Torques) -> Vector:
 def _cable(arm: ArmSettings, posture: Vector) -> Cable:
     """Springs whose frequency against a locked motor, link by link in the posture, is `cable_hz`."""
     omega = 2.0 * np.pi * arm.cable_hz
-    stiffness = omega**2 * link_inertias(posture)
-    damping = 2.0 * arm.cable_damping / max(omega, 1e-9) * stiffness
-    return Cable(tuple(stiffness.tolist()), tuple(damping.tolist()))
+    stiffness = tuple(omega**2 * inertia for inertia in _at_rest(posture).link_inertias)
+    damping = tuple(2.0 * arm.cable_damping / max(omega, 1e-9) * each for each in stiffness)
+    return Cable(stiffness, damping)
+
+
+class _AtRest(NamedTuple):
+    tip: Vector
+    link_inertias: Vector
+
+
+@lru_cache(maxsize=64)
+def _at_rest(posture: Vector) -> _AtRest:
+    """What a posture comes to: ten thousand robots of trials share one."""
+    return _AtRest(tuple(tip_at(posture).tolist()), tuple(link_inertias(posture).tolist()))

@@ -14,7 +14,7 @@ from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest, plain_name
 from jaxmpc.quantities import AXES, HP_MAX
 from jaxmpc.synthesis.force_filter import force_filter
-from jaxmpc.synthesis.params import Timing
+from jaxmpc.synthesis.timing import Timing
 from jaxmpc.world.heart.bounds import Seconds
 from jaxmpc.world.heart.motion import Motion, displacement
 from jaxmpc.world.loop_path import LoopPath, loop_path

@@ -13,7 +13,8 @@ from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import ZERO, Scalar, Vector
 from jaxmpc.loop.linear import HIGHEST_ERROR, HIGHEST_FORCE
 from jaxmpc.world import drive, robot
-from jaxmpc.world.robot import Accelerate, Robot, RobotState, RobotStructure
+from jaxmpc.world.joint_acceleration import Accelerate
+from jaxmpc.world.robot import Robot, RobotState, RobotStructure
 
 AT_REST = 0.99
 """Gain from which on a guard counts as at rest [-]."""
@@ -116,7 +117,7 @@ class ArmLoop(NamedTuple):
     chain: Chain
     structure: RobotStructure
     accelerate: Accelerate
-    """Joint accelerations, `jaxmpc.world.robot.accelerate` or another way to them."""
+    """Joint accelerations, `jaxmpc.world.joint_acceleration.accelerate` or another way to them."""
 
 
 def start(loop: ArmLoop, cell: Cell, ops: Ops) -> ArmCarry:

@@ -19,7 +19,8 @@ from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design, design_one
 from jaxmpc.synthesis.listening import Listening
-from jaxmpc.synthesis.params import Params, Timing
+from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.timing import Timing
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce

@@ -27,8 +27,10 @@ from jaxmpc.stability.loop import transition_matrix
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import arm, friction
-from jaxmpc.world.robot import HeartSample, Robot, RobotStructure, accelerate
+from jaxmpc.world.joint_acceleration import accelerate
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
 from jaxmpc.xla import ops
+from jaxmpc.xla.blocks import padded
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 
@@ -144,10 +146,16 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
 def _matrices(
     params: Params, robots: Robot, T_s: float, force_filter: ForceFilter | None, kind: RobotStructure
 ) -> Float[Array, "robots n n"]:
-    """One matrix per robot, operation by operation: 30 000 of them take two seconds, and minutes to compile."""
-    gains, _ = _designed(params, T_s, force_filter=force_filter)
-    robots = jax.tree.map(jnp.asarray, robots)
-    return jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, params.K2))(robots)
+    """One matrix per robot, operation by operation: 30 000 of them take two seconds, and minutes to compile.
+
+    Each operation is compiled for a number of robots, for some seconds in all on a CPU and for many more on a GPU.
+    """
+    count = len(robots.extra_delay)
+    gains, _ = jax.device_get(_designed(params, T_s, force_filter=force_filter))
+    with jax.default_device(jax.local_devices(backend="cpu")[0]):
+        robots = jax.tree.map(jnp.asarray, padded(robots, 1 << max(6, (count - 1).bit_length())))
+        each = jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, params.K2))(robots)
+    return each[:count]
 
 
 _designed = JitOnce(design_one)

@@ -18,8 +18,9 @@ from jaxmpc.quantities import HP_MAX, HU_MAX
 from jaxmpc.synthesis.feedback import state_feedback
 from jaxmpc.synthesis.kalman import active_observer_gain, input_noise_gain
 from jaxmpc.synthesis.mpc import first_move
-from jaxmpc.synthesis.params import Params, Timing
+from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
+from jaxmpc.synthesis.timing import Timing
 from jaxmpc.xla import ops
 from jaxmpc.xla.precision import in_float64
 

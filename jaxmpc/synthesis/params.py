@@ -1,8 +1,7 @@
 """What is tuned: the parameters of one controller, or of a batch of them."""
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -10,37 +9,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 
 from jaxmpc import described
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 from jaxmpc.synthesis.listening import Listening
+from jaxmpc.synthesis.published import SETS
+from jaxmpc.synthesis.values import check_values, from_plain, rows_of, tables
 
 Architecture = Literal["mpc-aob", "aob", "mpc"]
 Order = Literal[1, 2, 3]
 STRUCTURE = ("architecture", "disturbance_order", "guarded", "listening")
 """What of a controller is no number to be tuned but needs a program of its own."""
-Number = Float[jax.Array | np.ndarray, "..."]
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Sampling of the controller.
-
-    Attributes:
-        T_s: Sampling time [s].
-        delay: Samples between a command and its effect, 1 or 2; the design always assumes 1 [samples].
-    """
-
-    T_s: float = 1e-3
-    delay: int = 1
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.T_s) and 1e-5 <= self.T_s <= 0.1):
-            raise InputError("T_s", self.T_s, "in [1e-5, 0.1] s", "The paper's controller runs at 1e-3.")
-        if self.delay not in (1, 2):
-            raise InputError("delay", self.delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")
 
 
 def _number(value: Any) -> Any:
@@ -48,64 +29,6 @@ def _number(value: Any) -> Any:
     if isinstance(value, jax.Array | np.ndarray):
         return value
     return np.asarray(value, np.float64)
-
-
-_MPC_ALONE: Mapping[str, Any] = {
-    "architecture": "mpc",
-    "lam": 1.2e-4,
-    "Q_p": 855.0,
-    "Q_x": 8.38e-7,
-    "K2": 5.54,
-    "Khat_s": 1194.0,
-    "Hp": 62,
-    "Hu": 7,
-}
-"""On Table I, sampled damping, goal M_s ≤ 4.5 as it runs at all three tissues."""
-_CAUTIOUS: Mapping[str, Any] = {
-    "lam": 0.184,
-    "Q_p": 0.177,
-    "Q_x": 1e-10,
-    "T_cl": 0.00193,
-    "K2": 48.4,
-    "Khat_s": 1297.0,
-    "Hp": 47,
-    "Hu": 10,
-}
-"""Least residual on Table I of 6000 random sets with M_s ≤ 2, 6 and 4 dB, 30°, 1.5 ms and T_cl ≥ 1.5 ms: quicker ones
-ask for torque that no motor gives when a beating heart is met."""
-
-
-_KNOT: Mapping[str, Any] = {"K2": 0.02, "Hp": 17, "Hu": 7}
-_FAMILY: Mapping[str, Any] = {
-    **_CAUTIOUS,
-    "guarded": True,
-    "listening": {"stiffness": [375.0, 550.0, 810.0, 1250.0, 1900.0]},
-    "knots": [
-        {"Khat_s": 406.5, "T_cl": 0.00557, "Q_x": 0.00209, "Q_p": 7.71, "lam": 0.04219, **_KNOT},
-        {"Khat_s": 601.9, "T_cl": 0.004156, "Q_x": 0.002153, "Q_p": 6.096, "lam": 0.06388, **_KNOT},
-        {"Khat_s": 892.3, "T_cl": 0.003184, "Q_x": 0.00218, "Q_p": 4.781, "lam": 0.08558, **_KNOT},
-        {"Khat_s": 1385.0, "T_cl": 0.002418, "Q_x": 0.002233, "Q_p": 3.611, "lam": 0.1038, **_KNOT},
-        {"Khat_s": 2114.0, "T_cl": 0.001864, "Q_x": 0.002274, "Q_p": 2.718, "lam": 0.1159, **_KNOT},
-    ],
-}
-"""Each knot: least residual on the arm of Table I, from spectra, at a chatter of 1.16 m/s² and, within ±6 % of its
-stiffness, M_s ≤ 2, 6 and 4 dB, 30° and 1.5 ms. Contact begins with "cautious"."""
-
-_SETS: Mapping[str, Mapping[str, Any]] = {
-    "text": {"Khat_s": 900.0},
-    "printed": {"Khat_s": 500.0},
-    "mpc-alone": _MPC_ALONE,
-    "cautious": _CAUTIOUS,
-    "family": _FAMILY,
-}
-PUBLISHED: Mapping[str, str] = {
-    "text": "The paper's design, K̂_s = 900 N/m as its text says: the baseline.",
-    "printed": "The paper's design, K̂_s = 500 N/m, to which its printed gains belong; unstable on its foam.",
-    "mpc-alone": "The MPC without the observer, tuned to the text design's M_s, to compare with.",
-    "cautious": "M_s below 2 from 375 to 1900 N/m at twice the residual: a first one for a robot.",
-    "family": "Begins as cautious, finds the tissue's stiffness, goes over to gains for it.",
-}
-"""Parameter sets that `Params.published` knows, and what each is."""
 
 
 class Params(eqx.Module):
@@ -171,7 +94,7 @@ class Params(eqx.Module):
         self._check_knots()
         values = {name: getattr(self, name) for name in PARAMETERS}
         if all(isinstance(value, np.ndarray) for value in values.values()):
-            check_values(values)
+            check_values(values, {each.name: each.default for each in fields(self)})
 
     def _check_knots(self) -> None:
         places = () if self.listening is None else self.listening.stiffness
@@ -214,9 +137,9 @@ class Params(eqx.Module):
         Raises:
             InputError: The name is not one of these.
         """
-        if name not in _SETS:
-            raise InputError("published parameters", name, "a known name", nearest(name, list(_SETS)))
-        return Params.from_dict(_SETS[name])
+        if name not in SETS:
+            raise InputError("published parameters", name, "a known name", nearest(name, list(SETS)))
+        return Params.from_dict(SETS[name])
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> "Params":
@@ -232,7 +155,7 @@ class Params(eqx.Module):
         for name, value in values.items():
             if name not in known:
                 raise InputError(name, value, "a known parameter", nearest(name, known))
-            given[name] = _from_plain(name, value) if name in PARAMETERS else value
+            given[name] = from_plain(name, value) if name in PARAMETERS else value
         shared: dict[str, Any] = {name: given[name] for name in ("architecture", "disturbance_order") if name in given}
         given["knots"] = tuple(Params.from_dict({**shared, **knot}) for knot in tables("knots", given.get("knots", ())))
         if isinstance(listening := given.get("listening"), Mapping):
@@ -304,7 +227,7 @@ class Params(eqx.Module):
             InputError: A name is unknown, a column of another shape, or a value out of bounds; it names the parameter
                 and the first such value.
         """
-        rows = _rows_of(columns)
+        rows = rows_of(columns)
         base = {name: getattr(self, name) for name in PARAMETERS}
         wide: dict[str, Any] = {name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in base.items()}
         given = {name: np.asarray(value, np.float64) for name, value in columns.items()}
@@ -317,76 +240,6 @@ class Params(eqx.Module):
         """One controller, or a slice, of a batch."""
         rows: Params = jax.tree.map(lambda leaf: leaf[row], self)
         return rows
-
-
-def _rows_of(columns: Mapping[str, Any]) -> int:
-    """Length that columns share.
-
-    Raises:
-        InputError: There is none, a name is unknown, or a column has another shape.
-    """
-    rows = 0
-    for name, column in columns.items():
-        if name not in PARAMETERS:
-            raise InputError(name, "a column", "of a known parameter", nearest(name, list(PARAMETERS)))
-        shape, entries = np.shape(column), PARAMETERS[name].entries
-        rows = rows or (shape[0] if shape else 0)
-        if not rows or shape not in [(rows,), (rows, entries)][: 1 + bool(entries)]:
-            allowed = f"({rows or 'n'},)" + (f" or ({rows or 'n'}, {entries})" if entries else "")
-            raise InputError(name, f"a column of the shape {shape}", allowed, "Give one value for each controller.")
-    if not rows:
-        raise InputError("columns", "none", "at least one", f"Known: {', '.join(PARAMETERS)}.")
-    return rows
-
-
-def tables(name: str, value: Any) -> Sequence[Mapping[str, Any]]:
-    """Tables of a file.
-
-    Raises:
-        InputError: It is something else.
-    """
-    if isinstance(value, Sequence) and all(isinstance(each, Mapping) for each in value):
-        return value
-    raise InputError(name, value, "tables", f"Write each as [[params.{name}]].")
-
-
-def _from_plain(name: str, value: Any) -> np.ndarray:
-    """A number or a list of numbers, from a file."""
-    given = value if isinstance(value, list) else [value]
-    if not given or any(isinstance(x, bool) or not isinstance(x, int | float) for x in given):
-        raise InputError(name, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
-    if not isinstance(value, list):
-        return np.asarray(value, np.float64)
-    entries = PARAMETERS[name].entries
-    if len(value) > entries:
-        length = f"a number or at most {entries} of them" if entries else "one number"
-        raise InputError(name, f"{len(value)} numbers", length, "Only lam (along Hu) and delta (along Hp) take a list.")
-    return np.asarray(value + [value[-1]] * (entries - len(value)), np.float64)
-
-
-def check_values(values: Mapping[str, np.ndarray]) -> None:
-    """Refuse values that no controller can have; works on whole batches.
-
-    Raises:
-        InputError: Names the parameter, the first wrong value, the bound and the remedy.
-    """
-    for name, value in values.items():
-        unit, (low, high) = PARAMETERS[name].unit, PARAMETERS[name].bounds
-        wrong = ~(np.isfinite(value) & (value >= low) & (value <= high))
-        if wrong.any():
-            remedy = f"Correct {name}; a typical value is {getattr(Params(), name)} {unit}."
-            raise InputError(name, value[wrong].flat[0], f"in [{low:g}, {high:g}] {unit}", remedy)
-    for name in HORIZONS:
-        fractional = values[name] != np.floor(values[name])
-        if fractional.any():
-            raise InputError(name, values[name][fractional].flat[0], "a whole number of samples", f"Round {name}.")
-    if (values["Hu"] > values["Hp"]).any():
-        row = np.flatnonzero(np.ravel(values["Hu"] > values["Hp"]))[0]
-        hu, hp = np.ravel(values["Hu"])[row], np.ravel(values["Hp"])[row]
-        raise InputError("Hu", f"{hu:g}", f"in [1, Hp (= {hp:g})] samples", "Lower Hu or raise Hp.")
-    batch = values["Khat_s"].ndim
-    if not np.all(np.sum(values["delta"], axis=tuple(range(batch, values["delta"].ndim))) > 0.0):
-        raise InputError("delta", 0.0, "positive somewhere", "Without weight on the force error nothing is controlled.")
 
 
 def by_structure(controllers: Sequence[Params]) -> list[list[int]]:

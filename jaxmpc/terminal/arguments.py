@@ -1,7 +1,10 @@
 """Arguments that several verbs share: a published name or a file."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
     from jaxmpc.experiment import Experiment
@@ -9,10 +12,25 @@ if TYPE_CHECKING:
 
 
 def params_from(text: str) -> "Params":
-    """A published parameter set by name, or a params.toml by path."""
+    """A published parameter set by name; a params.toml, or the folder of a tuning run, by path."""
     from jaxmpc.synthesis.params import Params
 
+    if os.path.isdir(text):
+        return Params.from_toml(tuned_file(Path(text)))
     return Params.from_toml(text) if _is_path(text) else Params.published(text)
+
+
+def tuned_file(folder: Path) -> Path:
+    """The params.toml in the folder of a tuning run.
+
+    Raises:
+        InputError: There is none.
+    """
+    file = folder / "params.toml"
+    if not file.is_file():
+        remedy = "It is written where every goal is met; its report says what was missed."
+        raise InputError("tuning folder", folder, "one with a params.toml", remedy)
+    return file
 
 
 def experiment_from(text: str) -> "Experiment":

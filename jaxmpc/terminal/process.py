@@ -21,8 +21,9 @@ def use_all_cores(cores: int | None = None) -> None:
     Raises:
         InputError: The environment asks for a single device.
     """
-    # Read when XLA is loaded: its remarks on the machine would land in the middle of a progress bar.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    # Read when XLA is loaded: its remarks, of a slow compilation too, would land in the middle of a progress bar;
+    # what fails is raised.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
     config: Any = jax.config

@@ -77,7 +77,8 @@ def _lines(title: str, total: int, unit: str) -> Iterator[Tick]:
         sys.stderr.write(f"{title}: {done}/{total} {unit}{left}  {note}\n")
         sys.stderr.flush()
 
-    yield tick
+    with said_after(f"{title}: {total} {unit} …"):
+        yield tick
 
 
 @contextmanager

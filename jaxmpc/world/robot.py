@@ -10,10 +10,10 @@ with friction f, tissue force y, bias c, viscous friction D. With a cable mode t
 tied to the links by a spring and a damper per joint; the encoders then see the motors.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from jaxmpc.law.chain import Chain, dynamics, inverse_dynamics, pose, with_diagonal, with_point_mass
+from jaxmpc.law.chain import Chain, inverse_dynamics, pose, with_point_mass
 from jaxmpc.law.chain import tip as chain_tip
 from jaxmpc.law.computed_torque import Nominal
 from jaxmpc.law.measurement import Measurement
@@ -24,10 +24,7 @@ from jaxmpc.law.scalar import (
     add,
     apply,
     apply_transposed,
-    factor_ldl,
-    plus,
     scale,
-    solve_ldl,
     sub,
     times,
 )
@@ -35,13 +32,11 @@ from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.world import drive, friction, sensor, tissue
 from jaxmpc.world.drive import Drive
 from jaxmpc.world.friction import Friction
+from jaxmpc.world.joint_acceleration import Accelerate
 from jaxmpc.world.sensor import SensorModel, SensorState
 from jaxmpc.world.tissue import Tissue
 
 _NONE = (0.0, 0.0, 0.0, 0.0)
-
-Accelerate = Callable[..., Vector]
-"""Like `accelerate` below."""
 
 
 class RobotStructure(NamedTuple):
@@ -123,35 +118,6 @@ class RobotState(NamedTuple):
     """Torques of the last two samples, newest first [N m]."""
 
 
-def accelerate(
-    chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Scalar, viscous: Vector, share: Scalar, ops: Ops
-) -> Vector:
-    """q̈ of (M + share D) q̈ = τ − c − D q̇ [rad/s²]; the plain form, for any kind of scalar.
-
-    Args:
-        chain: The arm.
-        q: Joint angles, 4 scalars [rad].
-        qd: Joint velocities, 4 scalars [rad/s].
-        torque: Joint torques τ, 4 scalars [N m].
-        tool_mass: Point mass at the tip beyond the chain's own [kg].
-        viscous: Viscous friction D, 4 scalars [N m s/rad].
-        share: Time over which it is implicit [s].
-        ops: Scalar functions.
-    """
-    return solve_ldl(*factored(chain, q, qd, torque, tool_mass, viscous, share, ops))
-
-
-def factored(
-    chain: Chain, q: Vector, qd: Vector, torque: Vector, tool_mass: Scalar, viscous: Vector, share: Scalar, ops: Ops
-) -> tuple[Any, Vector]:
-    """The equation that `accelerate` solves: factors of its left side, and its right side."""
-    loaded = with_point_mass(chain, tool_mass)
-    found = dynamics(loaded, pose(loaded, q, ops), qd)
-    diagonal = tuple(plus(A, times(share, D)) for A, D in zip(chain.armature, viscous, strict=True))
-    rest = sub(sub(torque, found.bias), tuple(map(times, viscous, qd)))
-    return factor_ldl(with_diagonal(found.mass, diagonal)), rest
-
-
 def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Ops) -> RobotState:
     """The arm at rest in its posture, held against gravity, touching without force; numbers in the form of `like`."""
     zero = 0.0 * like
@@ -230,7 +196,7 @@ def move(
         state: That `sense` returned.
         torque: Joint torques sent now; they act one or two samples later [N m].
         hearts: The heart where each substep asks for it: its middle with leapfrog, its start with Euler.
-        advance: Joint accelerations, `accelerate` or another way to them.
+        advance: Joint accelerations, `joint_acceleration.accelerate` or another way to them.
         ops: Scalar functions.
     """
     newest, older = state.pending

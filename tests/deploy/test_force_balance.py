@@ -32,7 +32,7 @@ def learned(air=2.0):
     for k in range(LEARNED_TO):
         # What comes before the arm moves steadily is none of the air's.
         told = -air if k >= LEARNED_FROM else 1.0
-        state, reason = balance_step(state, (0.0, 0.0, told), NONE, UP, True, T_S)
+        state, reason = balance_step(state, (0.0, 0.0, told), NONE, NONE, UP, True, T_S)
         assert reason is None
     return state
 
@@ -41,7 +41,7 @@ def after(state, estimate, force, cycles, approaching=False, normal=UP):
     """The reasons of so many cycles."""
     reasons = []
     for _ in range(cycles):
-        state, reason = balance_step(state, estimate, force, normal, approaching, T_S)
+        state, reason = balance_step(state, estimate, force, NONE, normal, approaching, T_S)
         reasons.append(reason)
     return reasons
 
@@ -50,7 +50,7 @@ def test_the_air_is_learned_once_on_the_way_down():
     state = learned(2.0)
     assert state.air == pytest.approx(2.0)
     for _ in range(300):  # a press that the sensor does not tell of is never taken for air
-        state, _ = balance_step(state, (0.0, 0.0, -6.0), NONE, UP, True, T_S)
+        state, _ = balance_step(state, (0.0, 0.0, -6.0), NONE, NONE, UP, True, T_S)
     assert state.air == pytest.approx(2.0)
     assert BalanceState().air == BalanceState(cycles=LEARNED_TO - 1, learned=1e3).air == UNLEARNED
 
@@ -66,7 +66,7 @@ def test_a_push_beyond_the_reading_is_seen_above_its_bound_and_not_below(approac
 def test_what_is_read_is_no_push_beyond_it_and_less_push_than_read_is_none_either():
     state = learned(2.0)
     for _ in range(200):
-        state, reason = balance_step(state, (0.0, 0.0, -12.0), (0.0, 0.0, -10.0), UP, False, T_S)
+        state, reason = balance_step(state, (0.0, 0.0, -12.0), (0.0, 0.0, -10.0), NONE, UP, False, T_S)
     assert reason is None
     assert set(after(learned(2.0), (0.0, 0.0, 9.0), (0.0, 0.0, -10.0), 100)) == {None}
 
@@ -89,17 +89,17 @@ def test_a_single_outlier_is_none_and_a_lost_reading_changes_nothing():
     state = learned(0.0)
     for k in range(60):
         wild = k % SAMPLES != SAMPLES - 1
-        state, reason = balance_step(state, (0.0, 0.0, -20.0 if wild else 0.0), NONE, UP, False, T_S)
+        state, reason = balance_step(state, (0.0, 0.0, -20.0 if wild else 0.0), NONE, NONE, UP, False, T_S)
         assert reason is None
     before = state.reading
-    state, _ = balance_step(state, NONE, None, UP, False, T_S)
+    state, _ = balance_step(state, NONE, None, NONE, UP, False, T_S)
     assert state.reading == before
 
 
 def test_the_reading_is_made_as_slow_as_the_estimate():
     state = BalanceState()
     for _ in range(round(1.0 / (BANDWIDTH * T_S))):
-        state, _ = balance_step(state, NONE, (0.0, 0.0, -1.0), UP, False, T_S)
+        state, _ = balance_step(state, NONE, (0.0, 0.0, -1.0), NONE, UP, False, T_S)
     assert state.reading[2] == pytest.approx(-(1.0 - np.exp(-1.0)), abs=0.02)
 
 

@@ -169,7 +169,7 @@ def test_positions_two_cycles_old_control_three_hold_and_twenty_one_let_go():
     assert [task_of(step(now, READY._replace(position_age=age)), age) for age in (0, 1, 2)] == [Task.CONTROL] * 3
     old = step(now, READY._replace(position_age=3, detail="J4"))
     assert (old.state, old.reason, old.detail) == (OperatingState.FAULT, Reason.POSITION_OLD, "J4")
-    assert [task_of(old, age) for age in (0, 3, 20, 21)] == [Task.GRAVITY] * 3 + [Task.OFF]
+    assert [task_of(old, age) for age in (3, 20, 21)] == [Task.GRAVITY] * 2 + [Task.OFF]
     assert step(old, READY).state is OperatingState.FAULT
 
 
@@ -205,8 +205,12 @@ def test_a_fault_that_holds_may_still_become_one_that_lets_go():
     assert task_of(now, 0) is Task.OFF
 
 
-def test_who_was_too_fast_brakes_while_positions_are_fresh():
-    now = step(SafetyState(OperatingState.CONTACT), READY._replace(danger=Reason.TIP_VELOCITY))
+@pytest.mark.parametrize(
+    "seen", [{"danger": Reason.TIP_VELOCITY}, {"danger": Reason.LATE}, {"position_age": BRIDGED + 1}]
+)
+def test_who_was_too_fast_late_or_blind_brakes_and_withdraws_while_positions_are_fresh(seen):
+    now = step(SafetyState(OperatingState.CONTACT), READY._replace(**seen))
+    assert now.state is OperatingState.FAULT
     assert [task_of(now, age) for age in (0, 2, 3, 20, 21)] == [Task.RETRACT] * 2 + [Task.GRAVITY] * 2 + [Task.OFF]
     assert task_of(step(now, READY._replace(hazard=Reason.E_STOP)), 0) is Task.OFF
 

@@ -11,7 +11,7 @@ import pytest
 from jaxmpc import Experiment
 from jaxmpc.experiment import SensorSettings
 from jaxmpc.experiment.tables import ArmSettings, TissueSettings, softening
-from jaxmpc.world.heart import rhythm
+from jaxmpc.world.heart import rhythm, ventilation
 from jaxmpc.world.heart.motion import displacement
 
 FOLDER = resources.files("jaxmpc.experiment") / "published"
@@ -147,7 +147,7 @@ def test_rhythms_do_what_their_names_say_within_the_run() -> None:
 
 def test_ventilation_stops_and_starts_again() -> None:
     experiment, t, _ = moved("ventilator-hold")
-    rate = rhythm.respiratory_phase(experiment.motion, t)[1]
+    rate = ventilation.respiratory_phase(experiment.motion, t)[1]
     held = (t > 9.0) & (t < 17.0)
     assert np.abs(rate[held]).max() < 1e-9
     assert rate[(t > 20.0)].min() > 0.3

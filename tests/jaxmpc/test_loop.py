@@ -16,6 +16,7 @@ from jaxmpc.loop.arm import ArmLoop, ArmSample, ArmSignals, Cell, advance, notic
 from jaxmpc.world import robot
 from jaxmpc.world.arm import chain
 from jaxmpc.world.arrays import ARRAYS
+from jaxmpc.world.joint_acceleration import accelerate
 from jaxmpc.world.robot import HeartSample
 from jaxmpc.xla import ops
 from tests.jaxmpc.arm_tables import NO_COUNTS, TABLE, changed
@@ -31,7 +32,7 @@ def loop_of(experiment: Experiment) -> tuple[ArmLoop, Cell]:
     assert data.robot is not None
     gains = jax.tree.map(float, scalars(design(Params()), False))
     on_tissue = data.robot._replace(tissue=data.robot.tissue._replace(stiffness=experiment.stiffness[0]))
-    return ArmLoop(chain(), spec.robot, robot.accelerate), Cell(gains, 10.0, on_tissue)
+    return ArmLoop(chain(), spec.robot, accelerate), Cell(gains, 10.0, on_tissue)
 
 
 BEGIN = 2000
@@ -119,7 +120,7 @@ def test_a_torque_acts_after_its_delay(delay: int) -> None:
         for k in range(4):
             push = first if k == 0 else 0.0
             sent = tuple(torque + push for torque in weight)
-            state = robot.move(loop.chain, loop.structure, cell.robot, state, sent, [STILL], robot.accelerate, ARRAYS)
+            state = robot.move(loop.chain, loop.structure, cell.robot, state, sent, [STILL], accelerate, ARRAYS)
             angles.append(state.q[3])
         return angles
 
@@ -158,9 +159,7 @@ def test_derivative_of_forward_dynamics_is_the_central_difference() -> None:
     step = 1e-6
 
     def shifted(sign: float) -> np.ndarray:
-        return np.array(
-            robot.accelerate(chain(), *jax.tree.map(lambda x, d: x + sign * step * d, point, tangent), ARRAYS)
-        )
+        return np.array(accelerate(chain(), *jax.tree.map(lambda x, d: x + sign * step * d, point, tangent), ARRAYS))
 
     as_arrays = (jax.tree.map(jnp.asarray, tree) for tree in (point, tangent))
     value, slope = jax.jit(lambda p, d: jax.jvp(lambda *p: implicit(chain(), *p, ops), p, d))(*as_arrays)

@@ -18,7 +18,8 @@ from jaxmpc.law import momentum_observer
 from jaxmpc.law.measurement import Measurement, init, measure
 from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, advance, start
 from jaxmpc.world.arm import chain, model
-from jaxmpc.world.robot import HeartSample, accelerate
+from jaxmpc.world.joint_acceleration import accelerate
+from jaxmpc.world.robot import HeartSample
 from jaxmpc.xla import ops
 from tests.jaxmpc.arm_tables import NO_COUNTS, TABLE, changed
 

@@ -37,8 +37,8 @@ from jaxmpc.world import friction
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import hertz
 from jaxmpc.world.heart.motion import displacement
+from jaxmpc.world.joint_acceleration import accelerate
 from jaxmpc.world.loop_path import loop_path
-from jaxmpc.world.robot import accelerate
 from jaxmpc.xla import ops
 from tests.jaxmpc.linear_loop import (
     DAMPED,

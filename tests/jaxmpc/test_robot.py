@@ -19,6 +19,7 @@ from jaxmpc.law.gains import Gains
 from jaxmpc.synthesis.force_filter import force_filter
 from jaxmpc.world import robot as world
 from jaxmpc.world.arm import chain, model, tip_at
+from jaxmpc.world.joint_acceleration import accelerate
 from jaxmpc.world.robot import HeartSample, RobotStructure
 
 FLOATS = SimpleNamespace(
@@ -48,7 +49,7 @@ def robot(stiffness=0.0, sensor=None, **arm):
     return found._replace(tissue=found.tissue._replace(stiffness=stiffness))
 
 
-def run(kind, of, state, torque, seconds, of_chain=CHAIN, advance=world.accelerate):
+def run(kind, of, state, torque, seconds, of_chain=CHAIN, advance=accelerate):
     """States after each step under constant torques."""
     states = []
     for _ in range(round(seconds / of.measurement.T_s)):
@@ -61,7 +62,7 @@ def run(kind, of, state, torque, seconds, of_chain=CHAIN, advance=world.accelera
 def without_velocity_products(of_chain, q, qd, torque, tool_mass, viscous, share, ops):
     """`accelerate` of an arm without Coriolis and centripetal torques."""
     rest = tuple(tau - D * v for tau, D, v in zip(torque, viscous, qd, strict=True))
-    return world.accelerate(of_chain, q, NONE, rest, tool_mass, viscous, share, ops)
+    return accelerate(of_chain, q, NONE, rest, tool_mass, viscous, share, ops)
 
 
 def continuous(of, state, torque, at, coriolis):
@@ -94,7 +95,7 @@ def tip_errors(integrator, case, coriolis=True):
         kind = RobotStructure(integrator=integrator)
         state = world.init(CHAIN, kind, of, 0.0, FLOATS)._replace(qd=speed)
         torque = tuple(held + more for held, more in zip(state.pending[0], push, strict=True))
-        advance = world.accelerate if coriolis else without_velocity_products
+        advance = accelerate if coriolis else without_velocity_products
         q = np.array([each.q for each in run(kind, of, state, torque, 0.15, advance=advance)])
         wanted = continuous(of, state, torque, T_s * np.arange(1, len(q) + 1), coriolis)
         errors.append(max(np.linalg.norm(tip_at(a) - tip_at(b)) for a, b in zip(q, wanted, strict=True)))
@@ -158,7 +159,7 @@ def test_a_cable_rings_at_its_frequency_against_a_locked_motor(joint, hertz, rat
     held = tuple(0.0 if i == joint else 1e9 for i in range(4))
 
     def one_link(of_chain, *rest):
-        return world.accelerate(of_chain._replace(armature=held), *rest)
+        return accelerate(of_chain._replace(armature=held), *rest)
 
     kind = RobotStructure(cable=True)
     state = world.init(locked, kind, of, 0.0, FLOATS)

@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,8 @@ import pytest
 from jaxmpc import Experiment
 from jaxmpc.cli import main
 from tuning import trials
-from tuning.trials import Job, Outcomes
+from tuning.trials import Job, Outcomes, drawn
+from tuning.trials import outcomes as judging
 
 
 @pytest.fixture
@@ -19,20 +20,18 @@ def peaks(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     """Largest |e| per trial of the first and the second controller [N]; runs nothing."""
     largest = {"first": 0.5, "second": 3.0}
 
-    def computer(job: Job) -> Callable[[int], Outcomes]:
-        def compute(first: int) -> Outcomes:
-            flat = np.zeros((trials.BLOCK, len(job.controllers)))
+    def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
+        for first in firsts:
+            flat = np.zeros((drawn.BLOCK, len(job.controllers)))
             peak = np.broadcast_to(np.array(list(largest.values()))[: len(job.controllers), None], (*flat.shape, 3))
             # In the first trial alone.
-            peak = np.where(np.arange(first, first + trials.BLOCK)[:, None, None] == 0, peak, 0.1)
+            peak = np.where(np.arange(first, first + drawn.BLOCK)[:, None, None] == 0, peak, 0.1)
             calm, never, rms = 0.01 * peak, flat == 1.0, 0.1 * peak
             when = flat + np.nan, flat + 0.9, flat + np.inf
-            return Outcomes(flat.astype(np.int8), *when, rms, rms, peak, calm, never)
-
-        return compute
+            yield Outcomes(flat.astype(np.int8), *when, rms, rms, peak, calm, never)
 
     monkeypatch.setattr("jaxmpc.terminal.process.use_all_cores", lambda: None)
-    monkeypatch.setattr(trials, "_computer", computer)
+    monkeypatch.setattr(trials, "outcomes_of", outcomes_of)
     return largest
 
 
@@ -41,11 +40,14 @@ def test_who_never_fails_ends_with_0(
     peaks: dict[str, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "tuned.toml").write_text("[params]\nK2 = 20.0")
+    # Named by what the user wrote.
     command = ["trials", str(tmp_path / "tuned.toml"), "--against", "text", "--trials", "40", "--hard"]
     out = tmp_path / "out"
     assert main([*command, "-o", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "trial: both 0, only tuned 0, only text 0, neither 40" in said
+    said, told = capsys.readouterr()
+    tuned = tmp_path / "tuned.toml"
+    assert f"trial: both 0, only {tuned} 0, only text 0, neither 40" in said
+    assert told.startswith("trial 0: text left 2 N, |e| 3.00 N; ")
     assert "stress arms" in said
     assert re.findall(r"left \|e\| < 2 N\W+(\d+)", said) == ["0", "1"]
     assert {path.name for path in out.iterdir()} == {
@@ -74,7 +76,7 @@ def test_who_is_lost_ends_with_1_and_the_count(
     peaks: dict[str, float], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     peaks["first"] = 2.5
-    monkeypatch.setattr(trials, "SWINGING", 0.02)
+    monkeypatch.setattr(judging, "SWINGING", 0.02)
     assert main(["trials", "text", "--trials", "3"]) == 1
     told = capsys.readouterr()
     assert "text was lost in 1 of 3 trials" in told.err

@@ -17,8 +17,10 @@ from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.whole_arm import lost, radii, robots_of, whole_arm_matrix
 from jaxmpc.world.arm import chain
 from jaxmpc.world.arrays import ARRAYS
-from jaxmpc.world.robot import HeartSample, Robot, RobotStructure, accelerate
+from jaxmpc.world.joint_acceleration import accelerate
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
 from tuning import trials
+from tuning.trials import drawn
 
 T_S, K_S = 1e-3, 810.0
 STILL = HeartSample((0.0,) * 3, (0.0,) * 3)
@@ -140,8 +142,8 @@ def test_it_foretells_the_hard_trials() -> None:
     some diverge so slowly that 8 s do not show it.
     """
     job = trials.Job((Params(),), Experiment.published("table-1-wam"), trials.HARD)
-    foretold = lost(Params(), [job.trial(i) for i in range(trials.BLOCK)])
-    found = trials.run(job, trials.BLOCK)
+    foretold = lost(Params(), [job.trial(i) for i in range(drawn.BLOCK)])
+    found = trials.run(job, drawn.BLOCK)
     happened = (found.lost | found.left)[:, 0]
     assert np.mean(foretold == happened) > 0.85
     assert np.mean(happened & ~foretold) < 0.03

@@ -8,6 +8,7 @@ import os
 import random
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -270,24 +271,31 @@ def there(folder: Path) -> dict[str, tuple[int, int]]:
 
 @pytest.mark.oracle
 def test_wrong_inputs_end_with_2_and_one_plain_line(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cases = all_of_them(folder)
     assert len(cases) >= WANTED
     monkeypatch.chdir(folder)
-    before, failed = there(folder), []
+    # What a verb keeps elsewhere, or forgets, would land here.
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(elsewhere))
+    for name in ("HOME", "XDG_CACHE_HOME", "TMPDIR"):
+        monkeypatch.setenv(name, str(elsewhere))
+    before, names, failed = there(folder), set(os.listdir(folder)), []
     for case in cases:
-        began = time.monotonic()
+        began = time.process_time()
         try:
             code: object = main(case)
         except SystemExit as stopped:
             code = stopped.code
         except Exception as error:
             code = f"{type(error).__name__}: {error}"[:200]
-        took, (out, err) = time.monotonic() - began, capsys.readouterr()
-        lines = (out + err).splitlines()
-        if code != 2 or len(lines) != 1 or not lines[0].isprintable() or took > LIMIT_S:
-            failed.append((case, code, (out + err)[-300:], round(took, 1)))
+        took, (out, err) = time.process_time() - began, capsys.readouterr()
+        lines, written = (out + err).splitlines(), {*os.listdir(folder), *os.listdir(elsewhere)} - names
+        if code != 2 or len(lines) != 1 or not lines[0].isprintable() or took > LIMIT_S or written:
+            failed.append((case, code, (out + err)[-300:], round(took, 1), written))
+            names |= written
     told = "\n".join(f"{[word[:60] for word in case]} → {rest}" for case, *rest in failed)
     assert not failed, f"{len(failed)} of {len(cases)}:\n{told}"
     assert there(folder) == before

@@ -94,6 +94,7 @@ FAULTS = (
         lambda p: os.kill(p.twin, signal.SIGCONT),
     ),
 )
+NAMES = ("whole", *(fault.name for fault in FAULTS))
 
 
 def _say(flight: str, wrong: list[str], **measured: Any) -> bool:
@@ -178,15 +179,7 @@ def whole() -> bool:
     text = "\n".join(line for _, line in said)
     wrong = [f"exit code {code}"] if code else []
     where = 0
-    for word in (
-        "force sensor tared",
-        "armed:",
-        "approach:",
-        "contact:",
-        "retract",
-        "stopped:",
-        "ended: stopped, finished",
-    ):
+    for word in STORY:
         found = text.find(word, where)
         wrong += [f"no {word!r} after what came before"] if found < 0 else []
         where = max(where, found)

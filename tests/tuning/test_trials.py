@@ -1,7 +1,7 @@
 """Random trials: what is drawn, that each is the experiment it claims to be, and what is counted."""
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,9 @@ from jaxmpc.experiment.reference import Reference
 from jaxmpc.report.content import Table
 from tuning import trials
 from tuning.job.scenarios import RHYTHMS
-from tuning.trials import HARD, NOMINAL, Job, Outcomes
-from tuning.trials.report import pairs, ranked, trials_report
+from tuning.trials import HARD, NOMINAL, Job, Outcomes, compute, drawn, on_own_tissues
+from tuning.trials.program import Met
+from tuning.trials.report import failures, pairs, ranked, trials_report
 
 BLOCK = 4
 
@@ -25,7 +26,7 @@ BLOCK = 4
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two motions with two trials each in a block, and 0.6 s to judge."""
     for name, value in (("POOL", 2), ("COPIES", 2), ("BLOCK", BLOCK), ("DURATION", 2.6)):
-        monkeypatch.setattr(trials, name, value)
+        monkeypatch.setattr(drawn, name, value)
 
 
 def job(*controllers: Params, spread: trials.Spread = HARD, seed: int = 0) -> Job:
@@ -50,6 +51,31 @@ def test_pairs_and_ranks() -> None:
     assert pairs(found.lost) == (0, 2, 0, 3)
     assert ranked(found, 0, 4) == [1, 4, 2, 0]
     assert ranked(found, 1, 2) == [4, 0]
+
+
+def test_failures_are_told_with_what_happened_and_to_whom() -> None:
+    found = outcomes([[1.0, 1.0], [3.0, np.nan], [1.0, 1.0]], [[0, 0], [0, 2], [0, 0]])
+    found = found._replace(
+        when=np.full((3, 2), 4.25), swing=np.where(np.arange(3)[:, None, None] == 2, 0.2, found.swing)
+    )
+    asked = job(Params(), Params.published("cautious"))
+    lines = list(failures(asked, ["text", "cautious"], 720, found))
+    assert [line.partition(";")[0] for line in lines] == [
+        "trial 721: text left 2 N, |e| 3.00 N",
+        f"trial 721: cautious lost, {Status(2).name} at 4.2 s",
+        "trial 722: text swinging, |e| 1.00 N",
+        "trial 722: cautious swinging, |e| 1.00 N",
+    ]
+    assert f"{asked.trial(721).stiffness[0]:.0f} N/m" in lines[0]
+
+
+def test_trials_are_on_the_tissues_of_an_experiment_that_has_its_own() -> None:
+    base = Experiment.published("table-1-wam")
+    assert on_own_tissues(HARD, base) == HARD
+    own = on_own_tissues(HARD, msgspec.structs.replace(base, stiffness=(900.0, 500.0)))
+    assert own == HARD._replace(stiffness=(500.0, 900.0))
+    drawn = [job(spread=own).trial(i).stiffness[0] for i in range(50)]
+    assert 500.0 <= min(drawn) < 550.0 < 820.0 < max(drawn) <= 900.0
 
 
 def test_the_report_has_every_trial_and_the_worst_as_files() -> None:
@@ -109,7 +135,7 @@ def test_a_trial_depends_on_its_seed_and_number_alone() -> None:
     assert job().trial(5) == job(Params(K2=20.0)).trial(5)
     assert job().trial(5) != job().trial(6)
     assert job().trial(5) != job(seed=1).trial(5)
-    one, other, next_block = (job().trial(i) for i in (5, 5 + trials.POOL, 5 + trials.BLOCK))
+    one, other, next_block = (job().trial(i) for i in (5, 5 + drawn.POOL, 5 + drawn.BLOCK))
     assert (one.motion, one.sensor) == (other.motion, other.sensor)
     assert one.stiffness != other.stiffness
     assert one.motion != next_block.motion
@@ -138,20 +164,21 @@ def test_every_trial_is_the_experiment_it_says() -> None:
 def test_motions_robots_and_controllers_find_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """A program that gives back what it was given, for controllers of two structures in between each other."""
 
-    def block_program(spec: Any, varied: Any, structure: Any) -> Callable[..., Any]:
-        def run(batch: Any, shared: Any) -> Any:
-            (signals, own), (params, *_) = batch, shared
-            K2 = np.broadcast_to(params.K2, (*own[0].shape, len(params.K2)))
+    def wave_program(spec: Any, varied: Any, structure: Any, motions: int) -> Callable[..., Any]:
+        def run(wave: Sequence[Met], shared: Any) -> Any:
+            met = Met(*map(np.concatenate, zip(*wave, strict=True)))
+            assert len(met.own) == motions
+            K2 = np.broadcast_to(shared.params.K2, (*met.own.shape[:2], len(shared.params.K2)))
             # Of what varies, stiffness alone lies here.
-            stiffness = (
-                next(values for values in own if values.min() > 300.0 and values.max() < 2200.0)[..., None] + 0.0 * K2
-            )
-            noise = np.broadcast_to(signals.noise[:, None, None, 7], (*K2.shape, 3))
+            leaves = np.moveaxis(met.own, -1, 0)
+            found = next(values for values in leaves if values.min() > 300.0 and values.max() < 2200.0)
+            stiffness = found[..., None] + 0.0 * K2
+            noise = np.broadcast_to(met.noise[:, None, None, 7], (*K2.shape, 3))
             return 0.0 * K2, stiffness, K2, K2, noise, noise, noise, noise
 
         return run
 
-    monkeypatch.setattr(trials, "block_program", block_program)
+    monkeypatch.setattr(compute, "wave_program", wave_program)
     controllers = Params(K2=1.0), Params(K2=2.0, disturbance_order=2), Params(K2=3.0)
     given = job(*controllers, spread=NOMINAL)
     found = trials.run(given, 2 * BLOCK - 1)
@@ -167,14 +194,12 @@ def test_motions_robots_and_controllers_find_their_places(monkeypatch: pytest.Mo
 def test_blocks_are_kept_and_refused_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     computed = []
 
-    def computer(_: Job) -> Callable[[int], Outcomes]:
-        def compute(first: int) -> Outcomes:
+    def outcomes_of(_: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
+        for first in firsts:
             computed.append(first)
-            return outcomes(np.arange(first, first + BLOCK)[:, None])
+            yield outcomes(np.arange(first, first + BLOCK)[:, None])
 
-        return compute
-
-    monkeypatch.setattr(trials, "_computer", computer)
+    monkeypatch.setattr(trials, "outcomes_of", outcomes_of)
     alone = trials.run(job(), 10)
     assert computed == [0, 4, 8]
     trials.run(job(), 3, tmp_path)

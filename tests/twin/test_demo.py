@@ -78,6 +78,14 @@ def test_the_residual_that_it_tells_is_that_of_the_recording(demo: Demo, recordi
     assert max(told) < 40.0
 
 
+def test_the_flight_leaves_what_the_simulation_leaves(demo: Demo) -> None:
+    """Within 5 %, on the stretch of the heart's motion that both met; both are told in whole mN."""
+    flown, simulated = (
+        numbers(demo.told, rf"family, {how}([\s\d/]+)")[:3] for how in ("flown in lock-step", "simulated")
+    )
+    np.testing.assert_allclose(flown, simulated, rtol=0.05, atol=1.0)
+
+
 def test_the_margins_that_it_tells_are_those_of_the_artifact(demo: Demo, artifact: Artifact) -> None:
     assert artifact.family is not None
     fixed, known = (max(row["M_s"] for row in table) for table in (artifact.margins, artifact.family["rows"]))

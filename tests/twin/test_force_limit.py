@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.lying_sensor import Flown, fly, moments
-from deploy.loop import session
+from deploy.loop import cycle, session
+from deploy.safety import force_balance
 from deploy.safety.reasons import Reason
 from deploy.twin.twin import Twin
 from jaxmpc.world.tissue import KINDS
@@ -13,6 +14,7 @@ LIMIT = 15.0
 """Of the frozen controllers [N]."""
 LYING = {
     "a fifth": (("force:unit=0.2",), -5.0),
+    "half": (("force:unit=0.5",), -2.0),
     "minus a fifth": (("force:unit=-0.2",), -5.0),
     "sign": (("force:sign",), -5.0),
     "delayed": (("force:delayed=100",), -10.0),
@@ -40,6 +42,8 @@ def check(found: Flown, most: float = LIMIT):
     [
         ("a fifth", "fung", 1900.0, "before"),
         ("a fifth", "elastic", 1300.0, "wanted"),
+        ("half", "elastic", 810.0, "before"),
+        ("half", "fung", 1900.0, "wanted"),
         ("minus a fifth", "fung", 1900.0, "before"),
         ("delayed", "elastic", 1900.0, "contact"),
     ],
@@ -73,6 +77,16 @@ def test_without_the_motors_word_a_fifth_presses_beyond_the_limit(cautious, monk
     assert found.reason is Reason.FINISHED
 
 
+def test_a_loop_that_swings_is_ended_before_it_presses_beyond_the_limit(cautious, monkeypatch):
+    """Lost forces on tissue that is stiffer under load than promised; without the check it is 22 N."""
+    swinging = ("force:intermittent=0.1@4.522",), 810.0, "fung", -10.0
+    found = fly(cautious, *swinging, seed=339)
+    assert found.reason is Reason.FORCE_MODEL
+    assert found.push < LIMIT - 4.0
+    monkeypatch.setattr(cycle, "runaway_step", lambda count, asked: (0, None))
+    assert fly(cautious, *swinging, seed=339).push > LIMIT + 4.0
+
+
 @pytest.mark.parametrize("stiffness", [375.0, 1900.0])
 def test_an_approach_that_no_sensor_tells_of_is_ended_by_the_motors(cautious, monkeypatch, stiffness):
     """A sensor that is alive and reads next to nothing: by its word the tissue is met at 30 N."""
@@ -81,6 +95,14 @@ def test_an_approach_that_no_sensor_tells_of_is_ended_by_the_motors(cautious, mo
     found = fly(cautious, (), stiffness, "elastic", -5.0)
     assert found.reason is Reason.FORCE_MODEL
     assert found.push <= LIMIT
+
+
+def test_half_the_force_is_not_seen_without_the_friction_told_apart(cautious, monkeypatch):
+    """The check can fail: 2 N beyond the reading are less than friction's uncertainty."""
+    monkeypatch.setattr(force_balance, "HIDDEN", 100.0)
+    found = flown(cautious, "half", "elastic", 810.0, "before")
+    assert found.reason is Reason.FINISHED
+    assert found.push > 1.7 * 2.0
 
 
 @pytest.mark.parametrize("settings", [{}, {"coulomb": (4.0, 4.5, 2.2, 1.3), "mass_scale": 1.1}, {"delay": 2}])

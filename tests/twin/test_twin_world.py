@@ -8,7 +8,7 @@ import pytest
 
 from deploy.twin.contact import TwinContact
 from deploy.twin.heart import TwinHeart
-from deploy.twin.scenario import HEARTS, RHYTHMS, SCENARIOS, motion_named, twin_settings
+from deploy.twin.scenario import HEARTS, RHYTHMS, SCENARIOS, motion_named, twin_settings, unlike_the_simulation
 from deploy.twin.settings import HOME, TwinSettings
 from deploy.twin.world import TORQUE_CONSTANT, WINDING, TwinPhysics
 from jaxmpc.experiment import Experiment
@@ -21,6 +21,7 @@ from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.world import robot
 from jaxmpc.world.arm import chain, joint_ranges, tip_at
 from jaxmpc.world.heart.motion import Motion, displacement
+from jaxmpc.world.joint_acceleration import accelerate
 from jaxmpc.world.tissue import KINDS
 
 FLOATS = SimpleNamespace(
@@ -83,7 +84,7 @@ def test_the_world_is_the_simulators(kind, steps):
         if k % 50 == 0:
             sent = tuple((holding(world, lift=-4.0) + draw.normal(0.0, 0.1, 4)).tolist())
         joint = apply_transposed(JOINT_TO_MOTOR, sent)
-        state = robot.move(chain(), structure, of, state, joint, (heart,), robot.accelerate, FLOATS)
+        state = robot.move(chain(), structure, of, state, joint, (heart,), accelerate, FLOATS)
         world.advance(before, DRIVING)
         np.testing.assert_allclose(world.truth().q, state.q, rtol=0.0, atol=1e-9)
     assert np.ptp(normal) > 2.0
@@ -257,7 +258,12 @@ def test_a_twin_of_an_experiment_meets_what_the_simulation_meets(tmp_path):
     contact.begin(True)
     pressed = [contact.press((0.0, 0.0, -0.005), NONE[:3], NONE[:3], NONE[:3], t, 0.0)[2] for t in (0.0, 0.1, 0.2)]
     assert pressed == pytest.approx([-3.0, -6.0, -9.0], rel=1e-3)
+    file = str(tmp_path / "e.toml")
+    assert unlike_the_simulation(file, None) == ""
+    assert unlike_the_simulation("cough", None) == unlike_the_simulation(None, "cough") == ""
     (tmp_path / "e.toml").write_text(text.replace("repeat = true", ""))
+    assert "repeats it, faded to rest" in unlike_the_simulation(file, None)
+    assert unlike_the_simulation(file, "cough") == "", "another heart was asked for"
     assert twin_settings(str(tmp_path / "e.toml")).motion.repeat, "no recording is as long as any flight"
     (tmp_path / "e.toml").write_text(text.replace("viscosity = 1.5", "viscosity = -1.0"))
     with pytest.raises(InputError, match=r"tissue\.viscosity"):

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from jaxmpc import described
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
@@ -24,6 +25,7 @@ from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
+from tuning.job.shown import resolved
 from tuning.job.space import FREE, FREE_OF_KNOTS, KNOTS, Bounds, SearchSpace, axis_of
 
 HARD = {"M_s": HIGHEST_M_S}
@@ -96,6 +98,10 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
                 raise InputError("experiment.stiffness", list(self.experiment.stiffness), "with every knot's", remedy)
         if OVERSHOOT in {**self.soft, **self.goals}:
             raise InputError(f"goals.{OVERSHOOT}", "given", "left out with knots", "It is of the fixed gains alone.")
+
+    def __repr__(self) -> str:
+        lines = [described.Line(title, text, "", "") for title, text in resolved(self).items()]
+        return described.as_text(f"TuneSpec, {self.tune.starts} starts, {self.tune.steps} steps", lines)
 
     @property
     def before(self) -> Params:

@@ -11,24 +11,35 @@ from jaxmpc.files.errors import InputError
 if TYPE_CHECKING:
     from jaxmpc.report.content import Table
     from jaxmpc.synthesis.params import Params
-    from tuning.trials import Job, Outcomes
+    from tuning.trials import Job, Outcomes, Told
 
 TISSUES = 33
 """Stiffnesses, log-spaced, at which the linear margins are judged."""
 LISTED = 5
 """Worst trials told of each controller."""
+TOLD = 20
+"""Failures told as they come; all stand in the tables."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("params", help="a params.toml, or a published set: text, printed, mpc-alone, cautious, family")
+    parser.add_argument(
+        "params",
+        help="a params.toml, a published set (text, cautious, family, …) or the folder of a tuning run; NAME=… "
+        "gives it another name in tables and files",
+    )
     parser.add_argument("--against", metavar="PARAMS", help="another controller in the same trials, `text` for example")
     parser.add_argument("--trials", type=int, default=10_000, help="how many (10000)")
     parser.add_argument(
         "--hard", action="store_true", help="stress arms: cables of 15–60 Hz, also two samples of delay"
     )
     parser.add_argument("--seed", type=int, default=0, help="draws other trials (0)")
-    parser.add_argument("--experiment", default="table-1-wam", help="what they are drawn around (table-1-wam)")
+    parser.add_argument(
+        "--experiment",
+        default="table-1-wam",
+        help="what they are drawn around (table-1-wam); its own tissues, softest to hardest, if it has other than the "
+        "paper's, else 300–2200 N/m",
+    )
     parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of table, report and finished blocks")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -44,14 +55,15 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
-    from tuning.trials import HARD, MOST, NOMINAL, Job
+    from tuning.trials import HARD, MOST, NOMINAL, Job, on_own_tissues
     from tuning.trials import run as run_trials
 
-    given = [args.params, *([args.against] if args.against else [])]
-    controllers = tuple(map(params_from, given))
-    names = [Path(name).stem for name in given]
-    names = given if len(set(names)) < len(names) else names
-    job = Job(controllers, experiment_from(args.experiment), HARD if args.hard else NOMINAL, args.seed)
+    given = [text.partition("=") for text in (args.params, args.against) if text]
+    controllers = tuple(params_from(place or text) for text, _, place in given)
+    names = [text for text, *_ in given]
+    names = names if len(set(names)) == len(names) else [names[0], f"{names[1]} (2)"]
+    base = experiment_from(args.experiment)
+    job = Job(controllers, base, on_own_tissues(HARD if args.hard else NOMINAL, base), args.seed)
     check_folder("-o", args.out)
     if not 1 <= args.trials <= MOST:
         raise InputError("--trials", args.trials, f"in [1, {MOST}]", "10000 is usual.")
@@ -61,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
     print(_drawn_from(job), flush=True)
     began = time.monotonic()
     try:
-        found = run_trials(job, args.trials, args.out / "blocks" if args.out else None, not args.quiet)
+        blocks = args.out / "blocks" if args.out else None
+        found = run_trials(job, args.trials, blocks, not args.quiet, None if args.quiet else _teller(job, names))
         print(f"{args.trials} trials × {len(names)} controllers after {time.monotonic() - began:.0f} s")
         verdicts = _tables(job, names, found)
         if args.out:
@@ -74,6 +87,28 @@ def run(args: argparse.Namespace) -> int:
     if failed:
         print(f"jaxmpc trials: {names[0]} was lost in {failed} of {args.trials} trials", file=sys.stderr)
     return int(failed > 0)
+
+
+def _teller(job: "Job", names: list[str]) -> "Told":
+    """Says on standard error what failed, as it comes; after some lines only that there is more."""
+    from tuning.trials.report import failures
+
+    left = TOLD
+
+    def tell(first: int, found: "Outcomes") -> None:
+        nonlocal left
+        lines = list(failures(job, names, first, found))
+        for line in lines[:left]:
+            print(line, file=sys.stderr, flush=True)
+        if len(lines) > left > 0:
+            print(
+                "… and more; the counts go on, and with -o every trial stands in trials.csv",
+                file=sys.stderr,
+                flush=True,
+            )
+        left = max(0, left - len(lines))
+
+    return tell
 
 
 def _drawn_from(job: "Job") -> str:

@@ -1,50 +1,79 @@
 """Trials as one compiled program: motions × robots on each × controllers, design and linear stability included."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxmpc.closed_loops import ClosedLoops, lasted_per_motion, per_motion, run_loops, verdict
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
+from jaxmpc.loop.arm import ArmSignals
 from jaxmpc.stability import stability_status
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
 from jaxmpc.synthesis import design_one
+from jaxmpc.synthesis.params import Params
+from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.world.robot import Robot
 from jaxmpc.xla.blocks import over_blocks
 
 AT_A_TIME = 12
-"""Motions that run at a time on one device: with the trials on each, the lanes stay in the cache (measured)."""
+"""Motions that run at a time on a core: with the trials on each, the lanes stay in the cache (measured)."""
+
+
+class Met(NamedTuple):
+    """What differs from trial to trial; the first dimension is the motions'."""
+
+    heart: Any
+    """As in `ArmSignals`."""
+    between: Any
+    noise: Any
+    own: Any
+    """Leaves of a `Robot`, its tissue's stiffness among them, (motions, copies, leaves)."""
+
+
+class Shared(NamedTuple):
+    """What all trials share."""
+
+    params: Params
+    """Controllers of one structure."""
+    robot: Any
+    """All leaves of a `Robot`."""
+    signals: ArmSignals
+    """All signals, of one motion."""
+    path: LoopPath
+    """That of the experiment but for the delay, which the robots have."""
+    force_limit: Any
 
 
 @lru_cache(maxsize=8)
-def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) -> Callable[..., Any]:
-    """A compiled function of ((signals, own), (params, constant, path, force_limit)).
+def wave_program(
+    spec: ProgramSpec, varied: tuple[int, ...], structure: Any, motions: int
+) -> Callable[[Sequence[Met], Shared], Any]:
+    """A compiled function of what the blocks of a wave meet, and of what all share.
 
     Args:
         spec: Structure of a trial's program.
-        varied: Which leaves of a `Robot`, its tissue's stiffness among them, are a trial's own.
+        varied: Which leaves of a `Robot` are a trial's own.
         structure: Of a `Robot`.
+        motions: How many a wave has.
 
     Returns:
         Status, time of trouble [s], spectral radius [-], when a guard took gain back (∞ if never) [s], each (motions,
-        copies, controllers); RMS, true RMS, largest |e| and swing [N], with three axes besides. Of what it is called
-        with, signals (motions, steps, …) and own, one array (motions, copies) per varied leaf, are dealt to the
-        devices by motion; constant holds all leaves of a `Robot`, and path is that of the experiment but for the
-        delay, which the robots have.
+        copies, controllers); RMS, true RMS, largest |e| and swing [N], with three axes besides.
     """
 
-    def block(batch: Any, shared: Any) -> Any:
-        (signals, own), (params, constant, path, force_limit) = batch, shared
+    def run(met: Met, shared: Shared) -> Any:
+        params, path = shared.params, shared.path
         gains, residual = jax.vmap(lambda p: design_one(p, path.T_s, 1.0, path.force_filter))(params)
-        leaves = list(constant)
-        for k, values in zip(varied, own, strict=True):
-            leaves[k] = values
+        leaves = list(shared.robot)
+        for place, k in enumerate(varied):
+            leaves[k] = met.own[..., place]
         robot: Robot = jax.tree.unflatten(structure, leaves)
-        cells = own[0].shape
+        cells = met.own.shape[:2]
         stiffness = jnp.broadcast_to(robot.tissue.stiffness, cells)
 
         def radius(K_s: Any, extra: Any, g: Any, K2: Any) -> Any:
@@ -55,18 +84,23 @@ def block_program(spec: ProgramSpec, varied: tuple[int, ...], structure: Any) ->
         over_motions = jax.vmap(over_copies, in_axes=(0, 0, None, None))
         radii = over_motions(stiffness, jnp.broadcast_to(robot.extra_delay, cells), gains, params.K2)
 
-        data = ScenarioData(stiffness, signals, None, force_limit, robot, path)
-        run = run_loops(ClosedLoops(gains, params.K2, None, residual), data, world=spec, dtype="float64")
-        lasted = lasted_per_motion(run).T
-        moments = run.diverged.T, run.over_limit.T, run.lost_contact.T
+        common = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(met.own), *leaf.shape[1:])), shared.signals)
+        signals = common._replace(heart=met.heart, between=met.between, noise=met.noise)
+        data = ScenarioData(stiffness, signals, None, shared.force_limit, robot, path)
+        ran = run_loops(ClosedLoops(gains, params.K2, None, residual), data, world=spec, dtype="float64")
+        lasted = lasted_per_motion(ran).T
+        moments = ran.diverged.T, ran.over_limit.T, ran.lost_contact.T
         status, when = verdict(stability_status(radii, residual), lasted, *moments)
 
         def per_trial(field: Any) -> Any:
             """With dimensions (motions, copies, controllers, 3), NaN where the run did not last."""
             return jnp.where(lasted[..., None], jnp.transpose(per_motion(field), (2, 1, 0, 3)), jnp.nan)
 
-        found = run.metrics
+        found = ran.metrics
         told = found.rms, found.true_rms, found.peak_error, found.swing
-        return status, when, radii, run.backed_off.T, *map(per_trial, told)
+        return status, when, radii, ran.backed_off.T, *map(per_trial, told)
 
-    return over_blocks(block, AT_A_TIME)
+    if jax.default_backend() == "cpu":
+        dealt = over_blocks(run, min(AT_A_TIME, motions))
+        return lambda met, shared: dealt(jax.tree.map(lambda *parts: np.concatenate(parts), *met), shared)
+    return jax.jit(lambda met, shared: run(jax.tree.map(lambda *parts: jnp.concatenate(parts), *met), shared))

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,8 @@ from jaxmpc.report.content import Candidates, Chart, Detail, Mark, Measure, Repo
 from jaxmpc.report.influence import influence
 from jaxmpc.status import Status
 from tuning.job.scenarios import describe
-from tuning.trials import LARGEST_ERROR, SETTLE, Job, Outcomes
+from tuning.trials.drawn import SETTLE, Job
+from tuning.trials.outcomes import LARGEST_ERROR, Outcomes
 
 KEPT = 20
 """Worst trials of each controller that a report keeps as files."""
@@ -50,6 +51,26 @@ def draws(trial: Experiment) -> str:
     """What sets a trial apart, in a few words."""
     cable = f" of ζ {trial.arm.cable_damping:.3f}" if trial.arm.cable_hz else ""
     return f"{trial.stiffness[0]:.0f} N/m; {describe(trial)}{cable}"
+
+
+def failures(job: Job, names: Sequence[str], first: int, found: Outcomes) -> Iterator[str]:
+    """A line for each trial that failed, and how.
+
+    Args:
+        job: Draws the trials.
+        names: Of the controllers.
+        first: Number of the first of these trials.
+        found: What happened in them.
+    """
+    verdicts = {"lost": found.lost, "left 2 N": found.left, "swinging": found.swinging}
+    for i, c in np.argwhere(np.any(list(verdicts.values()), axis=0)).tolist():
+        said = " and ".join(verdict for verdict, which in verdicts.items() if which[i, c])
+        status, when = Status(int(found.status[i, c])), found.when[i, c]
+        if status != Status.OK:
+            said += f", {status.name}" + (f" at {when:.1f} s" if np.isfinite(when) else "")
+        largest = found.peak_error[i, c].max()
+        said += f", |e| {largest:.2f} N" if np.isfinite(largest) else ""
+        yield f"trial {first + i}: {names[c]} {said}; {draws(job.trial(first + i))}"
 
 
 def write_csv(path: Path, job: Job, names: Sequence[str], found: Outcomes) -> None:

@@ -93,9 +93,12 @@ def _series(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Σ A cos(2π f u + φ) per axis and its derivative by u."""
     circular = 2.0 * np.pi * frequencies
-    # Summed per row, not by a matrix product: its rounding would depend on how many times are asked for.
-    turned = np.exp(1j * circular * at[:, None])[:, None, :] * (amplitudes * np.exp(1j * phases))
-    return turned.real.sum(axis=2), -(turned.imag * circular).sum(axis=2)
+    turned = circular[:, None] * at
+    real, imaginary = amplitudes * np.cos(phases), amplitudes * np.sin(phases)
+    weights = np.block([[real, -imaginary], [-imaginary * circular, -real * circular]])
+    # Not by a matrix product of BLAS: its rounding would depend on how many times are asked for.
+    found = np.einsum("ak,kn->na", weights, np.concatenate([np.cos(turned), np.sin(turned)]))
+    return found[:, :3], found[:, 3:]
 
 
 def fade_in(t: np.ndarray, start: float, duration: float) -> np.ndarray:

@@ -8,9 +8,9 @@ import numpy as np
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import convert
-from jaxmpc.world.heart import harmonics, recording, rhythm
+from jaxmpc.world.heart import harmonics, phase, recording, rhythm, ventilation
 from jaxmpc.world.heart.bounds import Seconds, Size
-from jaxmpc.world.heart.rhythm import RhythmSettings
+from jaxmpc.world.heart.rhythm_settings import RhythmSettings
 
 Surface = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Position, shape (n, 3) [m], and velocity, shape (n, 3) [m/s], of the heart's surface at times, shape (n,) [s]."""
@@ -116,12 +116,12 @@ def _rhythmic(
     motion: Motion, beats: rhythm.Beats, t: np.ndarray, phase_seed: int | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """gain(θ_h)·heartbeat(θ_h) + respiration(θ_r) + cough, per-axis factors on all, plus the drift."""
-    cardiac, cardiac_rate = rhythm.cardiac_phase(beats.onsets, t)
-    gain, gain_slope = rhythm.beat_gain(beats.gain, cardiac)
+    cardiac, cardiac_rate = phase.cardiac_phase(beats.onsets, t)
+    gain, gain_slope = phase.beat_gain(beats.gain, cardiac)
     beat, beat_slope = harmonics.heartbeat(cardiac, phase_seed)
-    breath_phase, breath_rate = rhythm.respiratory_phase(motion, t)
+    breath_phase, breath_rate = ventilation.respiratory_phase(motion, t)
     breath, breath_slope = harmonics.respiration(breath_phase, phase_seed)
-    cough, cough_rate = rhythm.cough(motion, t)
+    cough, cough_rate = ventilation.cough(motion, t)
     direction = np.linalg.norm(harmonics.AMPLITUDES_MM[:, harmonics.RESPIRATION], axis=1)
     direction /= np.linalg.norm(direction)
     position = gain[:, None] * beat + breath + np.outer(cough, direction)

@@ -1,0 +1,25 @@
+"""When the controller samples, and when its commands act."""
+
+import math
+from dataclasses import dataclass
+
+from jaxmpc.files.errors import InputError
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Sampling of the controller.
+
+    Attributes:
+        T_s: Sampling time [s].
+        delay: Samples between a command and its effect, 1 or 2; the design always assumes 1 [samples].
+    """
+
+    T_s: float = 1e-3
+    delay: int = 1
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.T_s) and 1e-5 <= self.T_s <= 0.1):
+            raise InputError("T_s", self.T_s, "in [1e-5, 0.1] s", "The paper's controller runs at 1e-3.")
+        if self.delay not in (1, 2):
+            raise InputError("delay", self.delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")

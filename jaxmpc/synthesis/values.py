@@ -1,0 +1,83 @@
+"""Values of parameters as they come from files, sweeps and callers: read, and refused where no controller has them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.quantities import HORIZONS, PARAMETERS
+
+
+def rows_of(columns: Mapping[str, Any]) -> int:
+    """Length that columns share.
+
+    Raises:
+        InputError: There is none, a name is unknown, or a column has another shape.
+    """
+    rows = 0
+    for name, column in columns.items():
+        if name not in PARAMETERS:
+            raise InputError(name, "a column", "of a known parameter", nearest(name, list(PARAMETERS)))
+        shape, entries = np.shape(column), PARAMETERS[name].entries
+        rows = rows or (shape[0] if shape else 0)
+        if not rows or shape not in [(rows,), (rows, entries)][: 1 + bool(entries)]:
+            allowed = f"({rows or 'n'},)" + (f" or ({rows or 'n'}, {entries})" if entries else "")
+            raise InputError(name, f"a column of the shape {shape}", allowed, "Give one value for each controller.")
+    if not rows:
+        raise InputError("columns", "none", "at least one", f"Known: {', '.join(PARAMETERS)}.")
+    return rows
+
+
+def tables(name: str, value: Any) -> Sequence[Mapping[str, Any]]:
+    """Tables of a file.
+
+    Raises:
+        InputError: It is something else.
+    """
+    if isinstance(value, Sequence) and all(isinstance(each, Mapping) for each in value):
+        return value
+    raise InputError(name, value, "tables", f"Write each as [[params.{name}]].")
+
+
+def from_plain(name: str, value: Any) -> np.ndarray:
+    """A number or a list of numbers, from a file."""
+    given = value if isinstance(value, list) else [value]
+    if not given or any(isinstance(x, bool) or not isinstance(x, int | float) for x in given):
+        raise InputError(name, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
+    if not isinstance(value, list):
+        return np.asarray(value, np.float64)
+    entries = PARAMETERS[name].entries
+    if len(value) > entries:
+        length = f"a number or at most {entries} of them" if entries else "one number"
+        raise InputError(name, f"{len(value)} numbers", length, "Only lam (along Hu) and delta (along Hp) take a list.")
+    return np.asarray(value + [value[-1]] * (entries - len(value)), np.float64)
+
+
+def check_values(values: Mapping[str, np.ndarray], typical: Mapping[str, Any]) -> None:
+    """Refuse values that no controller can have; works on whole batches.
+
+    Args:
+        values: An array of each parameter, in its unit.
+        typical: A value of each, for the remedy.
+
+    Raises:
+        InputError: Names the parameter, the first wrong value, the bound and the remedy.
+    """
+    for name, value in values.items():
+        unit, (low, high) = PARAMETERS[name].unit, PARAMETERS[name].bounds
+        wrong = ~(np.isfinite(value) & (value >= low) & (value <= high))
+        if wrong.any():
+            remedy = f"Correct {name}; a typical value is {typical[name]} {unit}."
+            raise InputError(name, value[wrong].flat[0], f"in [{low:g}, {high:g}] {unit}", remedy)
+    for name in HORIZONS:
+        fractional = values[name] != np.floor(values[name])
+        if fractional.any():
+            raise InputError(name, values[name][fractional].flat[0], "a whole number of samples", f"Round {name}.")
+    if (values["Hu"] > values["Hp"]).any():
+        row = np.flatnonzero(np.ravel(values["Hu"] > values["Hp"]))[0]
+        hu, hp = np.ravel(values["Hu"])[row], np.ravel(values["Hp"])[row]
+        raise InputError("Hu", f"{hu:g}", f"in [1, Hp (= {hp:g})] samples", "Lower Hu or raise Hp.")
+    batch = values["Khat_s"].ndim
+    if not np.all(np.sum(values["delta"], axis=tuple(range(batch, values["delta"].ndim))) > 0.0):
+        raise InputError("delta", 0.0, "positive somewhere", "Without weight on the force error nothing is controlled.")

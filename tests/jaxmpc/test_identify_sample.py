@@ -1,0 +1,39 @@
+"""The sample recording: it comes with the program, is what the twin makes, and tells of the twin's friction."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.twin.own_motion import EVERY, own_motion, settings
+from deploy.twin.world import TICK
+from jaxmpc.cli import main
+from jaxmpc.cli.identify import EXAMPLES, SAMPLE
+from jaxmpc.files.toml import read_toml
+from jaxmpc.identify.identification import read_recording
+
+
+def test_it_is_the_twins() -> None:
+    """Printed to 1e-5 rad and 1e-3 N m; a second is enough, as an arm that moves otherwise does so at once."""
+    t, q, tau = read_recording(EXAMPLES / f"{SAMPLE}.csv")
+    again = own_motion(1.0)
+    rows = slice(len(again))
+    np.testing.assert_allclose(t[rows], again[:, 0], atol=1e-9)
+    np.testing.assert_allclose(q[rows], again[:, 1:5], atol=2e-5)
+    np.testing.assert_allclose(tau[rows], again[:, 5:], atol=2e-3)
+    assert np.diff(t) == pytest.approx(EVERY * TICK)
+
+
+def test_what_it_tells_is_what_the_twin_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["identify", "twin-motion"]) == 0
+    assert "made by the twin" in capsys.readouterr().out
+    found, truth = read_toml(tmp_path / "friction.toml")["arm"], settings()
+    # Encoder steps and the low-pass leave some percent of the friction, more of the presliding.
+    np.testing.assert_allclose(found["coulomb"], truth.coulomb, rtol=0.03)
+    np.testing.assert_allclose(found["viscous"], truth.viscous, rtol=0.12)
+    assert found["presliding"] == pytest.approx(truth.presliding, rel=0.15)
+    # The links are heavier, the tool is not: the one scale of both lies between.
+    assert 1.0 < 1.0 / (1.0 + found["mass_error"]) < truth.mass_scale

@@ -1,0 +1,162 @@
+"""Blocks of trials computed: what they meet is made ahead, and a GPU runs many blocks at a time.
+
+To make what a trial meets takes a core a millisecond, and a tenth of a second for each motion: more than a GPU needs to
+run it. There processes make what comes next while each device runs a wave of blocks.
+"""
+
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from itertools import cycle, islice
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxmpc.engine.scenario import program_spec, scenario_data
+from jaxmpc.experiment.build import robot_on_its_tissue
+from jaxmpc.loop.arm import ArmSignals
+from jaxmpc.stability import whole_arm
+from jaxmpc.synthesis.params import Params, by_structure
+from jaxmpc.xla.precision import in_float64
+from tuning.trials import drawn
+from tuning.trials.drawn import Job
+from tuning.trials.outcomes import Outcomes
+from tuning.trials.program import Met, Shared, wave_program
+
+BLOCKS_OF_A_WAVE = 28
+"""Blocks that a GPU runs at a time, 20 160 trials: half as many take it as long (measured)."""
+
+
+class _Constants(NamedTuple):
+    """What the trials of a job share."""
+
+    robot: list[float]
+    """All leaves of the first trial's `Robot`."""
+    varied: tuple[int, ...]
+    """Which of them are a trial's own."""
+    structure: Any
+    """Of a `Robot`."""
+    signals: ArmSignals
+    """Those of the first trial."""
+
+
+class _Program(NamedTuple):
+    """Controllers of one structure."""
+
+    members: tuple[int, ...]
+    """Which of the job's they are."""
+    run: Callable[[Sequence[Met], Shared], Any]
+    shared: Shared
+
+
+def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
+    """What came of blocks, in their order.
+
+    Args:
+        job: Who meets what.
+        firsts: First trial of each block.
+    """
+    if not firsts:
+        return
+    constants, on_cpu = _constants(job), jax.default_backend() == "cpu"
+    devices, size = (jax.local_devices()[:1], 1) if on_cpu else (jax.local_devices(), BLOCKS_OF_A_WAVE)
+    make = partial(_met, job, constants.varied)
+    blocks = map(make, firsts) if on_cpu else _by_processes(make, firsts)
+    programs = _programs(job, constants, size)
+    waves = [firsts[i : i + size] for i in range(0, len(firsts), size)]
+    # Beside those that run, one wave is judged and the next put together.
+    with ThreadPoolExecutor(len(devices) + 1) as threads:
+        running = deque[Future[list[Outcomes]]]()
+        for wave, device in zip(waves, cycle(devices), strict=False):
+            met = [block if on_cpu else _sent(block, device) for block in islice(blocks, len(wave))]
+            met += met[-1:] * (size - len(wave))
+            running.append(threads.submit(_ran, job, programs, wave, met))
+            if on_cpu or len(running) > len(devices):
+                yield from running.popleft().result()
+        for each in running:
+            yield from each.result()
+
+
+_sent = in_float64(jax.device_put)
+
+
+def _constants(job: Job) -> _Constants:
+    robots = [robot_on_its_tissue(job.trial(i)) for i in range(drawn.POOL)]
+    leaves, structure = [jax.tree.leaves(robot) for robot in robots], jax.tree.structure(robots[0])
+    # What differs in these differs everywhere: which it is must not depend on how many trials there are.
+    varied = tuple(k for k, values in enumerate(zip(*leaves, strict=True)) if len(set(values)) > 1)
+    met = scenario_data(job.trial(0), swinging=True).signals
+    assert isinstance(met, ArmSignals)
+    # Judged from the start, ramps included.
+    late = np.asarray(met.time) >= job.base.settle
+    judged = met._replace(score=np.broadcast_to(late[..., None] * 1.0, np.shape(met.score)))
+    return _Constants(leaves[0], varied, structure, judged)
+
+
+def _met(job: Job, varied: tuple[int, ...], first: int) -> Met:
+    """What the trials of a block meet."""
+    trials = [job.trial(first + i) for i in range(drawn.BLOCK)]
+    signals: list[Any] = [scenario_data(trial, swinging=True).signals for trial in trials[: drawn.POOL]]
+    robots = [jax.tree.leaves(robot_on_its_tissue(trial)) for trial in trials]
+    rows = np.array([[leaves[k] for k in varied] for leaves in robots], np.float64)
+    # Trial first + POOL·copy + motion: motions lead, and are dealt to the devices.
+    own = rows.reshape(drawn.COPIES, drawn.POOL, len(varied)).transpose(1, 0, 2)
+    heart, between, noise = (
+        np.concatenate([getattr(each, name) for each in signals]) for name in ("heart", "between", "noise")
+    )
+    return Met(heart, between, noise, own)
+
+
+def _by_processes(make: Callable[[int], Met], firsts: Sequence[int]) -> Iterator[Met]:
+    """The blocks in their order, made by a process per core, no more of them than two for each process ahead."""
+    cores = len(os.sched_getaffinity(0))
+    with ProcessPoolExecutor(cores, get_context("spawn"), _as_a_maker) as pool:
+        ahead, waiting = iter(firsts), deque[Any]()
+        waiting.extend(pool.submit(make, first) for first in islice(ahead, 2 * cores))
+        while waiting:
+            yield waiting.popleft().result()
+            waiting.extend(pool.submit(make, first) for first in islice(ahead, 1))
+
+
+def _as_a_maker() -> None:
+    """A process that leaves the GPU alone, and Ctrl-C to the one that asked."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    config: Any = jax.config
+    config.update("jax_platforms", "cpu")
+
+
+def _programs(job: Job, constants: _Constants, size: int) -> list[_Program]:
+    base = job.trial(0)
+    run = wave_program(program_spec(base), constants.varied, constants.structure, size * drawn.POOL)
+    programs = []
+    for members in by_structure(job.controllers):
+        batch = Params.stack([job.controllers[i] for i in members])
+        shared = Shared(batch, constants.robot, constants.signals, base.loop_path(), base.force_limit)
+        programs.append(_Program(tuple(members), run, shared))
+    return programs
+
+
+@in_float64
+def _ran(job: Job, programs: list[_Program], wave: Sequence[int], met: Sequence[Met]) -> list[Outcomes]:
+    """The blocks of a wave, each by itself; the whole arm is asked where the force left 2 N."""
+    fields: dict[int, list[np.ndarray]] = {}
+    for program in programs:
+        found = [np.asarray(field) for field in program.run(met, program.shared)]
+        fields |= {i: [field[:, :, c] for field in found] for c, i in enumerate(program.members)}
+    stacked = [np.stack(each, 2) for each in zip(*(fields[i] for i in sorted(fields)), strict=True)]
+    blocks, cut = len(wave), (-1, drawn.POOL, drawn.COPIES)
+    # Motions led; trial first + POOL·copy + motion.
+    flat = [field.reshape(*cut, *field.shape[2:]).swapaxes(1, 2)[:blocks] for field in stacked]
+    flat = [field.reshape(blocks * drawn.BLOCK, *field.shape[3:]) for field in flat]
+    flat[0] = flat[0].astype(np.int8)
+    ran = Outcomes(*[*flat, np.zeros(flat[0].shape, bool)])
+    numbers = [first + i for first in wave for i in range(drawn.BLOCK)]
+    for c, params in enumerate(job.controllers):
+        asked = np.flatnonzero(ran.beyond[:, c])
+        ran.whole_arm_unstable[asked, c] = whole_arm.lost(params, [job.trial(numbers[i]) for i in asked])
+    return [Outcomes(*each) for each in zip(*(np.split(field, blocks) for field in ran), strict=True)]
