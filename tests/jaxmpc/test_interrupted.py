@@ -70,7 +70,7 @@ def there(folder: Path) -> dict[str, bytes]:
 
 
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-SLOW = [pytest.param(name, marks=[] if name in QUICK else pytest.mark.oracle) for name in CASES]
+SLOW = [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in CASES]
 
 
 @pytest.fixture(autouse=True)

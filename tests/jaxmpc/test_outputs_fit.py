@@ -31,7 +31,7 @@ COMMANDS = {
     "freeze": ["freeze", "text", "--experiment", "short.toml", "--max-ms", "9", "-o", "c.npz"],
     "check": ["check", "c.npz"],
     "sign": ["sign", "c.npz", "--key", "key"],
-    "doctor": ["doctor", "--artifact", "c.npz"],
+    "doctor": ["doctor"],
     "sweep": ["sweep", "sweep.toml", "-o", "swept", "--quiet"],
     "sweep dry run": ["sweep", "sweep.toml", "-o", "another", "--dry-run"],
     "sweep best": ["sweep", "best", "swept", "--max-ms", "9"],
@@ -55,9 +55,12 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.oracle
+QUICK = ("simulate", "freeze", "check", "sign", "doctor", "identify", "list")
+MARKED = [pytest.param(name, marks=pytest.mark.oracle if name in QUICK else pytest.mark.slow) for name in COMMANDS]
+
+
 @pytest.mark.parametrize("columns", WIDTHS)
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", MARKED)
 def test_no_number_of_a_verb_is_cut(
     desk: Path, name: str, columns: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
