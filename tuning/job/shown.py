@@ -1,15 +1,12 @@
 """A tuning job in some lines: what is tuned on what, held to what, judged in which scenarios."""
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 from tuning.job.goals import GOALS
 
-if TYPE_CHECKING:
-    from tuning.job.spec import TuneSpec
 
-
-def resolved(spec: "TuneSpec") -> dict[str, str]:
-    """Title and text of each line; all of it is in the spec that lies beside the results."""
+def resolved(spec: Any) -> dict[str, str]:
+    """Title and text of each line of a `TuneSpec`; all of it is in the spec that lies beside the results."""
     experiment, met = spec.experiment, spec.scenarios
     tissues = ", ".join(f"{K:g}" for K in experiment.stiffness)
     hard = [f"{name} {GOALS[name].sign} {GOALS[name].amount(limit)}" for name, limit in spec.goals.items()]
