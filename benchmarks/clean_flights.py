@@ -50,7 +50,7 @@ def flown(path: Path, number: int) -> dict[str, Any]:
     pilot, most, last = Pilot(session, twin, abs(wanted) / RATE + HELD), dict.fromkeys(BOUNDS, 0.0), [None]
 
     def each(result: CycleResult) -> OperatorCommand:
-        balance, force = session.cycle.balance, result.force
+        balance, force = session.cycle.watch.balance, result.force
         if result.safety_state.state is OperatingState.CONTACT:
             seen = {"hidden": balance.hidden, "push": balance.push - balance.air}
             seen["asked"] = math.hypot(*session.controller.runtime.last_a)

@@ -37,6 +37,8 @@ class Flown(NamedTuple):
 
     push: float
     """Largest true push on the tissue [N]."""
+    since: float
+    """The same since the first fault set in [N]."""
     reason: Reason
     state: OperatingState
 
@@ -44,16 +46,24 @@ class Flown(NamedTuple):
 def fly(artifact: Any, faults: tuple[str, ...], stiffness: float, tissue: str, wanted: float, **settings: Any) -> Flown:
     """One flight with faults, timed from the twin's beginning."""
     twin = Twin(twin_settings(stiffness=stiffness, tissue=tissue, gap=GAP, faults=faults, **settings))
-    peaks = PeakForces()
-    clock = LockstepClock(twin, lambda now: peaks.add_true(now.truth().force))
+    peaks, since = PeakForces(), PeakForces()
+    begin = min((fault.start for fault in twin.faults), default=0.0)
+
+    def watch(now: Twin) -> None:
+        force = now.truth().force
+        peaks.add_true(force)
+        if now.now >= begin:
+            since.add_true(force)
+
+    clock = LockstepClock(twin, watch)
     try:
         session, bus = started(artifact, clock, f"0,0,{wanted:g}@{RATE:g}", RATE, seconds=1.0)
     except CalibrationError:  # the tare has seen it
-        return Flown(peaks.true_push, Reason.NOT_STARTED, OperatingState.IDLE)
+        return Flown(peaks.true_push, since.true_push, Reason.NOT_STARTED, OperatingState.IDLE)
     pilot = Pilot(session, twin, abs(wanted) / RATE + 2.0 * HELD)
     ended = session.run(OperatorCommand(True, True), None, pilot)
     bus.close()
-    return Flown(peaks.true_push, ended.safety_state.reason, ended.safety_state.state)
+    return Flown(peaks.true_push, since.true_push, ended.safety_state.reason, ended.safety_state.state)
 
 
 def moments(artifact: Any, stiffness: float, tissue: str, wanted: float) -> dict[str, float]:

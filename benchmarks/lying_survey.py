@@ -47,7 +47,7 @@ PHASES = ("approach", "ramp", "contact", "retract")
 RETRACTING = 0.6
 """A retraction of 30 mm takes that long [s]."""
 MUCH = 1.2
-"""Share of the wanted force beyond which nobody may press and end `finished`."""
+"""Share of the wanted force beyond which no fault, once it has set in, may press and end `finished`."""
 
 
 class Case(NamedTuple):
@@ -129,7 +129,12 @@ def _contact(cell: Cell) -> float:
 
 def _row(number: int, case: Case, contact: float, seed: int) -> dict[str, Any]:
     flown = fly(_artifact, faults_of(case, contact), case.stiffness, case.tissue, case.wanted, seed=seed + number)
-    came = {"contact": contact, "push": round(flown.push, 4), "reason": str(flown.reason)}
+    came = {
+        "contact": contact,
+        "push": round(flown.push, 4),
+        "since": round(flown.since, 4),
+        "reason": str(flown.reason),
+    }
     return {"number": number, **case._asdict(), **came}
 
 
@@ -157,10 +162,11 @@ def report(rows: list[dict[str, Any]], limit: float) -> int:
         if not mine:
             continue
         beyond = [row for row in mine if row["push"] > limit]
-        unseen = [row for row in mine if row["reason"] == "finished" and row["push"] > MUCH * abs(row["wanted"])]
+        unseen = [row for row in mine if row["reason"] == "finished" and row["since"] > MUCH * abs(row["wanted"])]
         bad += len(beyond) + len(unseen)
         print(f"  {word:<13}{len(mine):>5} flights, {len(beyond)} beyond the limit, {len(unseen)} unseen")
-        for title, those in (("worst", mine), ("unseen", unseen)):
+        alone = [row for row in mine if not row["pair"]]
+        for title, those in (("alone", alone), ("worst", mine), ("unseen", unseen)):
             if those:
                 row = max(those, key=lambda each: float(each["push"]))
                 print(f"    {title:<7}{row['push']:6.2f} N  {row['fault']} {_where(row)}: {row['reason']}")

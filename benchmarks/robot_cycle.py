@@ -16,7 +16,8 @@ import numpy as np
 from deploy.bus.bus import Bus
 from deploy.controller.file import load
 from deploy.loop.cycle import OperatorCommand
-from deploy.loop.session import Options, Session
+from deploy.loop.options import Options
+from deploy.loop.session import Session
 from deploy.reference.segments import from_words
 from deploy.twin.flight import Pilot
 from deploy.twin.lockstep import LockstepBus, LockstepClock

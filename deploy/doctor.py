@@ -17,7 +17,8 @@ from deploy.controller.file import ArtifactError, load
 from deploy.errors import BusError
 from deploy.loop.realtime import MonotonicClock, next_deadline, prepared
 from deploy.loop.statistics import LATE_OVERRUNS, Histogram
-from deploy.puck.codec import PUCKS, SAFETY_MODULE, SENSOR, PropertyReply, decode, get
+from deploy.puck.codec import PUCKS, SAFETY_MODULE, SENSOR, decode, get
+from deploy.puck.messages import PropertyReply
 
 HIGHEST_LOAD = 0.9
 """Share of the bus that may be planned with frames of the worst length: the rest is adapters and the unexpected."""

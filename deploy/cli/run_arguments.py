@@ -9,7 +9,7 @@ from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
     from deploy.controller.artifact import Artifact
-    from deploy.loop.session import Options
+    from deploy.loop.options import Options
 
 HASH = 8
 """Characters of the controller's sha256 that arm it."""
@@ -107,7 +107,8 @@ def options(args: argparse.Namespace, artifact: "Artifact") -> "Options":
     from deploy.force.can_sensor import CanSensor
     from deploy.force.jr3 import Jr3, open_comedi
     from deploy.loop.control import Contacting
-    from deploy.loop.session import Options, largest_wanted
+    from deploy.loop.options import Options
+    from deploy.loop.session import largest_wanted
     from deploy.reference.parse import from_text
 
     contacting = Contacting(

@@ -3,8 +3,9 @@
 from typing import Final
 
 from deploy.force.sensor import Wrench
-from deploy.puck.codec import FORCE_READING, GROUPS, SENSOR, ForceReply, MomentReply, decode, get, set_value
+from deploy.puck.codec import FORCE_READING, GROUPS, SENSOR, decode, get, set_value
 from deploy.puck.frame import Frame
+from deploy.puck.messages import ForceReply, MomentReply
 from jaxmpc.law.vectors import Vector3
 
 FORCE_ID: Final = GROUPS["force"] | SENSOR << 5

@@ -12,19 +12,19 @@ from typing import NamedTuple
 
 from deploy.controller.limits import Limits
 from deploy.loop.control import TaskController
+from deploy.loop.force_watch import ForceSample, ForceWatch
 from deploy.loop.hazards import CycleTiming, Hazards
 from deploy.puck.frame import Frame
 from deploy.safety import machine
 from deploy.safety.checker import Checker, Strictness
 from deploy.safety.clamp import NOTHING, Clamp, bounds, clamp
-from deploy.safety.force_balance import BalanceState, balance_step
 from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import Observations, OperatingState, SafetyState, Task
 from deploy.safety.plausible import EncoderState, ForceState, beyond_stop, encoder_step, force_step
 from deploy.safety.reasons import Reason
-from deploy.safety.runaway import runaway_step
-from deploy.wam.arm import Reading, WamArm
+from deploy.wam.arm import WamArm
 from deploy.wam.encoder_bridge import EncoderBridge
+from deploy.wam.reading import Reading
 from deploy.wam.tip_pose import TipKinematics
 from jaxmpc.law.vectors import Vector3, Vector4
 
@@ -74,7 +74,7 @@ class Cycle:
     """Runs the control cycle of the robot, apart from its timing.
 
     Attributes:
-        balance: What the motors tell of the force sensor.
+        watch: What is known of the force sensor's truth.
     """
 
     def __init__(
@@ -116,8 +116,7 @@ class Cycle:
         self._bridge = EncoderBridge(arm.counts)
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
-        self._estimate, self.balance, self._deepest = estimate, BalanceState(), deepest
-        self._runaway = 0
+        self.watch = ForceWatch(controller, estimate, deepest, T_s)
         self._age, self._hazards = [0] * 4, Hazards(arm, T_s)
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
@@ -136,13 +135,11 @@ class Cycle:
         qd = runtime.velocity(q) if age <= machine.BRIDGED else ZERO
         kinematics = self._tip_kinematics(q, qd)
         force, doubt = self._force(reading, kinematics)
-        unbalanced = self._weighed(q, qd, kinematics.velocity, force, age, timing.missed)
-        if self.safety_state.state is OperatingState.CONTACT:
-            self._runaway, runaway = runaway_step(self._runaway, runtime.last_a)
-            too_deep = self.controller.depth(kinematics.tip) > self._deepest
-            unbalanced = runaway or (Reason.FORCE_MODEL if too_deep else unbalanced)
+        driven = self._hazards.active and age <= machine.BRIDGED
+        sample = ForceSample(q, qd, kinematics, force, self.checker.torque)
+        lying = self.watch.judge(self.safety_state.state, sample, driven, timing.missed > 0)
         if doubt is Reason.NONE:
-            doubt = unbalanced
+            doubt = lying
         hazard, detail = self._hazards.judge(reading, timing, min(self._age))
         if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._hazards.lately):
             danger = Reason.LATE
@@ -186,27 +183,6 @@ class Cycle:
         if task is Task.CONTROL:
             self.controller.runtime.applied(applied)
         return CycleResult(frame, self.safety_state, task, acted, q, qd, kinematics, force, wanted, applied)
-
-    def _weighed(
-        self, q: Vector4, qd: Vector4, velocity: Vector3, force: Vector3 | None, age: int, missed: int
-    ) -> Reason:
-        """Whether the motors' torques agree with the measured force."""
-        estimate, now = self._estimate, self.safety_state.state
-        if estimate is None:
-            return Reason.NONE
-        if not self._hazards.active or age > machine.BRIDGED:
-            estimate.start(qd)  # undriven, or blind
-            return Reason.NONE
-        if missed:
-            estimate.skip(qd)
-            return Reason.NONE
-        told = estimate.step(q, qd, self.checker.torque)
-        approaching = now is OperatingState.APPROACH
-        if not (approaching or now is OperatingState.CONTACT):
-            return Reason.NONE
-        normal = self.controller.contacting.normal
-        self.balance, reason = balance_step(self.balance, told, force, velocity, normal, approaching, self._T_s)
-        return reason or Reason.NONE
 
     def _positions(self, reading: Reading, missed: int) -> tuple[Reason, int, int]:
         """Take positions; the reason to distrust them, the age of the oldest [cycles], and its motor (0–3)."""

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 from deploy.safety import machine
 from deploy.safety.reasons import Reason
-from deploy.wam.arm import Reading, WamArm
+from deploy.wam.arm import WamArm
+from deploy.wam.reading import Reading
 
 FOREIGN, FOREIGN_CYCLES = 4, 2
 """Foreign frames in a cycle, so many cycles in a row, that are a babbling node: half of what a full bus can hold."""

@@ -17,8 +17,8 @@ from deploy.safety.checker import check_service
 from deploy.safety.clamp import Clamp
 from deploy.safety.machine import HELD, OperatingState, SafetyState, Task
 from deploy.safety.reasons import Reason
-from deploy.wam.arm import Reading
 from deploy.wam.dialogue import Clock
+from deploy.wam.reading import Reading
 
 REPLIES = 0.7
 """Share of the period that replies are waited for; asking, computing and sending need the rest."""

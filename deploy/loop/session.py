@@ -6,7 +6,6 @@ Whoever calls this has opened the bus and read the artifact, and closes the bus 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,12 @@ from deploy.controller.runtimes import arm_runtime, flown_controller
 from deploy.errors import BusError, CalibrationError
 from deploy.flight.recorder import FlightRecorder
 from deploy.flight.recording_file import RecordingFile, Saved
-from deploy.force.can_sensor import CanSensor
-from deploy.force.sensor import IDENTITY, ForceSensor, Mounted, mean_force
-from deploy.loop.control import Contacting, TaskController
+from deploy.force.sensor import Mounted, mean_force
+from deploy.loop.control import TaskController
 from deploy.loop.cycle import Cycle, CycleResult, OperatorCommand
 from deploy.loop.loop import REASONS, STATES, Loop, RunResult, Watching
+from deploy.loop.options import Options
 from deploy.loop.statistics import Statistics
-from deploy.reference.sources import Source
 from deploy.safety.clamp import Clamp
 from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import SafetyState
@@ -31,7 +29,6 @@ from deploy.wam.dialogue import Clock
 from deploy.wam.startup import OTHERS, startup
 from deploy.wam.tip_pose import tip_kinematics
 from jaxmpc.files.errors import InputError
-from jaxmpc.law.scalar import Matrix
 
 NEAR = 0.3
 """Farthest that a joint may be from the controller's posture at the start [rad]: its margins hold there."""
@@ -45,39 +42,6 @@ CHECKED = 200
 """Samples that are read after it."""
 STILL = 0.5
 """Mean force that a tared sensor in the air may still read [N]."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of a run.
-
-    Attributes:
-        source: Wanted force on the tissue since contact.
-        rate: Largest rate of the wanted force [N/s].
-        contacting: How the tissue is met and left.
-        sensor: Of the force.
-        mount: Rotation from the sensor's axes to the tool's, or to the world's if it does not turn.
-        turns: Whether the sensor turns with the tool.
-        tare: Whether it is tared at the start.
-        home: The operator says that the arm stands at home.
-        hz: Rate that is asked for; None is the controller's own.
-        seconds: Length of the flight recorder [s].
-        hook: What becomes of a force on its way; see `Cycle`.
-        log: Takes every torque frame that is sent.
-    """
-
-    source: Source
-    rate: float = 5.0
-    contacting: Contacting = field(default_factory=Contacting)
-    sensor: ForceSensor = field(default_factory=CanSensor)
-    mount: Matrix = IDENTITY
-    turns: bool = True
-    tare: bool = True
-    home: bool = False
-    hz: float | None = None
-    seconds: float = 10.0
-    hook: Callable[[Any], Any] | None = None
-    log: Callable[..., None] | None = None
 
 
 class Session:

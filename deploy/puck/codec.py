@@ -6,9 +6,21 @@ for what cannot be said in a frame. `wam.dbc` beside this file says the same for
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from deploy.puck.frame import Frame
+from deploy.puck.messages import (
+    AccelerationReply,
+    Decoded,
+    ForceReply,
+    Get,
+    MomentReply,
+    Position,
+    PropertyReply,
+    Set,
+    Torques,
+    Units,
+)
 from jaxmpc.law.vectors import Vector3
 
 HOST: Final = 0
@@ -39,69 +51,6 @@ LARGEST_TORQUE: Final = 8191
 LARGEST_POSITION: Final = 2**21
 PER_NEWTON, PER_NEWTON_METRE, PER_ACCELERATION = 256, 4096, 1024
 """Counts of the force sensor per N, per N m and per m/s²."""
-
-Units = tuple[int, int, int, int]
-
-
-class Get(NamedTuple):
-    """The host asks a node, or a group by its identifier 0x400…, for a property."""
-
-    to: int
-    property: int
-
-
-class Set(NamedTuple):
-    """The host sets a property of a node, or of a group by its identifier 0x400…."""
-
-    to: int
-    property: int
-    value: int
-
-
-class Torques(NamedTuple):
-    """Torques of the pucks with PIDX 1, 2, 3, 4 [puck units], and the property they are set as."""
-
-    units: Units
-    property: int
-
-
-class Position(NamedTuple):
-    """Counts of a motor's encoder, and of the joint's own where there is one."""
-
-    node: int
-    counts: int
-    joint_counts: int | None
-
-
-class PropertyReply(NamedTuple):
-    """A node tells the value of a property."""
-
-    node: int
-    property: int
-    value: int
-
-
-class ForceReply(NamedTuple):
-    """Force [N] and, if the sensor sends them, its flags: 0x80 tare again, 0x40 bad data, 0x3F saturated gauges."""
-
-    force: Vector3
-    flags: int | None
-
-
-class MomentReply(NamedTuple):
-    """Moment [N m] and, if the sensor sends them, its flags."""
-
-    moment: Vector3
-    flags: int | None
-
-
-class AccelerationReply(NamedTuple):
-    """Acceleration of the sensor [m/s²]."""
-
-    acceleration: Vector3
-
-
-Decoded = Get | Set | Torques | Position | PropertyReply | ForceReply | MomentReply | AccelerationReply
 
 
 def get(to: int, number: int) -> Frame:

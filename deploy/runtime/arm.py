@@ -12,15 +12,13 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from deploy.runtime.straightline import OPS, compile_straightline
-from jaxmpc.law import chain, entry, force_control, identification, measurement
+from deploy.runtime.arm_law import ArmLaw
+from deploy.runtime.straightline import compile_straightline
+from jaxmpc.law import force_control, identification
 from jaxmpc.law.cascade import AxisState
-from jaxmpc.law.computed_torque import JointTorque
-from jaxmpc.law.force_control import Command, Controller, ControllerState
+from jaxmpc.law.force_control import Controller
 from jaxmpc.law.gain_backoff import BackoffState
 from jaxmpc.law.identification import StiffnessEstimate
-from jaxmpc.law.measurement import MeasurementState
-from jaxmpc.law.scalar import scale
 from jaxmpc.law.vectors import Vector3, Vector4
 
 _FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)
@@ -54,7 +52,7 @@ class ArmRuntime:
             compensated: Whether friction is cancelled.
             preview: Whether the wanted force is known ahead, as many samples as the reference has weights.
         """
-        law = _Law(controller, preview)
+        law = ArmLaw(controller, preview)
         self._controller, self._compensated = controller, compensated
         self.start(controller.posture)
         ahead = ((0.0,) * len(controller.gains.mpc_ref),) * 3 if preview else _THREE
@@ -195,65 +193,3 @@ class ArmRuntime:
         """Only for a replay that does not know how it came about; nothing changes without a guard."""
         if self._guard:
             self._guard = (*self._guard[:_MEMORY], memory, *self._guard[_MEMORY + 1 :])
-
-
-class _Law:
-    """The functions to record, closed over a controller's constants."""
-
-    jacobian = ((0.0,) * 4,) * 3
-    factors = (((), (0.0,), (0.0,) * 2, (0.0,) * 3), (0.0,) * 4)
-
-    def __init__(self, controller: Controller, preview: bool) -> None:
-        self.controller, self.preview = controller, preview
-
-    def measure(self, measured: Any, q: Any) -> Any:
-        return measurement.measure(self.controller.measurement, measured, q)
-
-    def control(
-        self,
-        axes: Any,
-        bristles: Any,
-        guard: Any,
-        momentum: Any,
-        applied: Any,
-        change: Any,
-        q: Any,
-        qd: Any,
-        force: Any,
-        force_ref: Any,
-    ) -> Any:
-        state = ControllerState(MeasurementState(q, qd), axes, bristles, guard, momentum)
-        state = force_control.holding(state, applied, change)
-        wanted = force_ref if self.preview else tuple((axis,) for axis in force_ref)
-        state, command = force_control.respond(self.controller, state, force, wanted, OPS)
-        found = command.torque
-        return state[1:], command.v, command.a, found.torque, (found.jacobian, found.factors)
-
-    def told(self, v: Any, wanted: Any, jacobian: Any, factors: Any, torque: Any) -> Any:
-        return force_control.told(Command(JointTorque(wanted, jacobian, factors), v, ()), torque)
-
-    def predict(self, axes: Any, guard: Any) -> Any:
-        state = ControllerState(MeasurementState(_FOUR, _FOUR), axes, None, guard)
-        return entry.expected_force(self.controller, state, OPS)
-
-    def enter(self, measured: Any, force: Any, a: Any) -> Any:
-        resting = force_control.init(self.controller, _FOUR, force)
-        state = entry.enter(self.controller, resting._replace(measured=measured), force, a, OPS)
-        return state.axes, state.guard, state.momentum, tuple(axis.v for axis in state.axes)
-
-    def servo(self, bristles: Any, q: Any, qd: Any, a: Any, force: Any) -> Any:
-        state = force_control.init(self.controller, q, force)
-        state = state._replace(measured=MeasurementState(q, qd), bristles=bristles)
-        bristles, found = force_control.torque_for(self.controller, state, a, force, OPS)
-        return bristles, found.torque
-
-    def gravity(self, q: Any) -> Any:
-        """Torques that hold the arm in the controller's model [N m]."""
-        arm, (share, tool_error, _) = self.controller.chain, self.controller.nominal
-        model = chain.with_point_mass(arm, tool_error / share)
-        return scale(share, chain.inverse_dynamics(model, chain.pose(model, q, OPS), _FOUR, _FOUR))
-
-    def tip(self, q: Any) -> Any:
-        """Position of the tip in the shoulder's frame [m]."""
-        arm = self.controller.chain
-        return chain.tip(arm, chain.pose(arm, q, OPS)).position

@@ -16,7 +16,8 @@ from deploy.controller.artifact import Artifact
 from deploy.controller.file import load
 from deploy.loop.cycle import CycleResult, OperatorCommand
 from deploy.loop.loop import RunResult
-from deploy.loop.session import Options, Session
+from deploy.loop.options import Options
+from deploy.loop.session import Session
 from deploy.reference.segments import from_words
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deploy.puck import codec
+from deploy.puck import codec, messages
 from deploy.puck.frame import Frame
 from deploy.twin.bus_timing import BabblingNode, BusTiming
 from deploy.twin.device import RESET, Device
@@ -168,7 +168,7 @@ class Twin:
 
     def _obey(self, frame: Frame, at: int) -> None:
         message = codec.decode(frame)
-        if isinstance(message, codec.Torques):
+        if isinstance(message, messages.Torques):
             if message.property == codec.TORQUE:
                 for puck in self.pucks:
                     index = puck.get(puck.number["PIDX"])
@@ -176,10 +176,10 @@ class Twin:
                         puck.command(message.units[index - 1])
                 self.safety.heard_torques(message.units, self.now)
                 self._follow_safety()
-        elif isinstance(message, codec.Get):
+        elif isinstance(message, messages.Get):
             for device in self._addressed(message.to):
                 self._answer(device, message.property, at)
-        elif isinstance(message, codec.Set):
+        elif isinstance(message, messages.Set):
             for device in self._addressed(message.to):
                 if isinstance(device, Puck) and (message.property, message.value) == (device.number["MODE"], TORQUE):
                     self.counters["torque mode set by the host"] += 1

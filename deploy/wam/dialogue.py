@@ -5,8 +5,9 @@ from typing import Final, Protocol
 
 from deploy.bus.bus import Bus
 from deploy.errors import BusError
-from deploy.puck.codec import SAFETY_MODULE, SENSOR, Position, PropertyReply, decode, get, set_value
+from deploy.puck.codec import SAFETY_MODULE, SENSOR, decode, get, set_value
 from deploy.puck.frame import Frame
+from deploy.puck.messages import Position, PropertyReply
 
 NS: Final = 1_000_000_000
 TRIES: Final = 3

@@ -7,7 +7,8 @@ from typing import Any, Final
 
 from deploy.errors import CalibrationError
 from deploy.puck import properties
-from deploy.puck.codec import LARGEST_TORQUE, Units
+from deploy.puck.codec import LARGEST_TORQUE
+from deploy.puck.messages import Units
 from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law.scalar import apply, apply_transposed
 from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT

@@ -9,9 +9,10 @@ import pytest
 from deploy.bus.bus import MOST_AT_ONCE, Bus
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import Mounted
-from deploy.puck import codec
-from deploy.puck.codec import GROUPS, PropertyReply, Torques, decode
+from deploy.puck import codec, messages
+from deploy.puck.codec import GROUPS, decode
 from deploy.puck.frame import Frame
+from deploy.puck.messages import PropertyReply, Torques
 from deploy.puck.pendant import Pendant
 from deploy.wam.arm import DOUBT, WamArm
 from deploy.wam.pucks import PuckInfo, Pucks
@@ -294,8 +295,8 @@ def test_torques_that_are_none_are_refused(rig, value):
 
 def test_idle_frames_only_lower_the_state(rig):
     assert [decode(frame) for frame in rig.arm.idle_frames()] == [
-        codec.Set(GROUPS["wam"], 8, 0),
-        codec.Set(codec.SAFETY_MODULE, 8, 1),
+        messages.Set(GROUPS["wam"], 8, 0),
+        messages.Set(codec.SAFETY_MODULE, 8, 1),
     ]
 
 

@@ -3,18 +3,9 @@ import random
 import pytest
 
 from deploy.puck import codec
-from deploy.puck.codec import (
-    AccelerationReply,
-    ForceReply,
-    Get,
-    MomentReply,
-    Position,
-    PropertyReply,
-    Set,
-    Torques,
-    decode,
-)
+from deploy.puck.codec import decode
 from deploy.puck.frame import Frame
+from deploy.puck.messages import AccelerationReply, ForceReply, Get, MomentReply, Position, PropertyReply, Set, Torques
 from deploy.puck.pendant import CONDITIONS, DIGITS, Pendant, decode_pendant
 from tests.deploy.pendants import encode_pendant
 

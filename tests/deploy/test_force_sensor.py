@@ -7,7 +7,7 @@ import pytest
 from deploy.errors import CalibrationError
 from deploy.force.can_sensor import DOUBT, CanSensor
 from deploy.force.sensor import BAD_DATA, TARE_AGAIN, Mounted, Wrench, mean_force
-from deploy.puck import codec
+from deploy.puck import codec, messages
 from deploy.puck.frame import Frame
 
 FORCE, MOMENT = codec.encode_force((1.0, 2.0, -3.0)), codec.encode_moment((0.5, 0.0, -0.25))
@@ -117,7 +117,7 @@ def test_a_duplicate_is_no_doubt():
 
 def test_tare_is_an_order_to_the_sensor():
     (frame,) = CanSensor().tare()
-    assert codec.decode(frame) == codec.Set(8, 54, 0)
+    assert codec.decode(frame) == messages.Set(8, 54, 0)
 
 
 def test_mounted_gives_the_force_on_the_tissue():

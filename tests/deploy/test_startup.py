@@ -9,8 +9,9 @@ from deploy.errors import BusError, CalibrationError
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import Mounted, Wrench
 from deploy.puck import codec, properties
-from deploy.puck.codec import Get, Set, decode
+from deploy.puck.codec import decode
 from deploy.puck.frame import Frame
+from deploy.puck.messages import Get, Set
 from deploy.puck.pendant import Pendant
 from deploy.wam.startup import startup
 from tests.deploy.pendants import encode_pendant

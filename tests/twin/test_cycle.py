@@ -3,7 +3,8 @@
 from deploy.bus.bus import Bus
 from deploy.loop.cycle import OperatorCommand
 from deploy.loop.hazards import CycleTiming
-from deploy.loop.session import Options, Session
+from deploy.loop.options import Options
+from deploy.loop.session import Session
 from deploy.reference.sources import ConstantForce
 from deploy.safety.machine import OperatingState, SafetyState, Task
 from deploy.safety.reasons import Reason

@@ -5,18 +5,9 @@ import random
 import pytest
 
 from deploy.puck import codec
-from deploy.puck.codec import (
-    AccelerationReply,
-    ForceReply,
-    Get,
-    MomentReply,
-    Position,
-    PropertyReply,
-    Set,
-    Torques,
-    decode,
-)
+from deploy.puck.codec import decode
 from deploy.puck.frame import Frame
+from deploy.puck.messages import AccelerationReply, ForceReply, Get, MomentReply, Position, PropertyReply, Set, Torques
 
 KNOWN = [*range(1, 12), 0x400, 0x401, 0x404, *(0x403 | n << 5 for n in range(32)), *(0x406 | n << 5 for n in range(32))]
 KNOWN += [0x50A, 0x50B, 0x50C, 0x540]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.lying_sensor import Flown, fly, moments
-from deploy.loop import cycle, session
+from deploy.loop import force_watch, session
 from deploy.safety import force_balance
 from deploy.safety.reasons import Reason
 from deploy.twin.twin import Twin
@@ -83,7 +83,7 @@ def test_a_loop_that_swings_is_ended_before_it_presses_beyond_the_limit(cautious
     found = fly(cautious, *swinging, seed=339)
     assert found.reason is Reason.FORCE_MODEL
     assert found.push < LIMIT - 4.0
-    monkeypatch.setattr(cycle, "runaway_step", lambda count, asked: (0, None))
+    monkeypatch.setattr(force_watch, "runaway_step", lambda count, asked: (0, None))
     assert fly(cautious, *swinging, seed=339).push > LIMIT + 4.0
 
 

@@ -5,7 +5,8 @@ import pytest
 from deploy.bus.bus import Bus
 from deploy.errors import BusError
 from deploy.loop.cycle import OperatorCommand
-from deploy.loop.session import Options, Session
+from deploy.loop.options import Options
+from deploy.loop.session import Session
 from deploy.puck.codec import unpack_torques
 from deploy.puck.frame import Frame
 from deploy.reference.segments import from_words

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from deploy.puck import codec
+from deploy.puck import codec, messages
 from deploy.twin.faults import ENCODERS, WORDS, Fault, parse
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
@@ -86,12 +86,12 @@ def run(fault, milliseconds=80, ask=(0x404, P), **settings):
 
 def forces(answers):
     """Of each millisecond, on the tissue; NaN where none came, shape (ms, 3)."""
-    found = [[a.force for a in each if isinstance(a, codec.ForceReply)] for each in answers]
+    found = [[a.force for a in each if isinstance(a, messages.ForceReply)] for each in answers]
     return -np.array([each[0] if each else (math.nan,) * 3 for each in found])
 
 
 def counts(answers, node):
-    found = [[a.counts for a in each if isinstance(a, codec.Position) and a.node == node] for each in answers]
+    found = [[a.counts for a in each if isinstance(a, messages.Position) and a.node == node] for each in answers]
     return np.array([each[0] if each else math.nan for each in found])
 
 

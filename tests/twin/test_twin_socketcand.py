@@ -11,7 +11,7 @@ import can
 import pytest
 
 from deploy.bus.bus import Bus
-from deploy.puck import codec
+from deploy.puck import codec, messages
 from deploy.puck.frame import Frame
 from deploy.twin.scenario import motion_named
 from deploy.twin.server import HOST, Server
@@ -72,7 +72,7 @@ def test_the_runtimes_own_bus_works_on_it(serve):
     bus = Bus(connect(serve()))
     bus.send(codec.get(10, 8))
     frame, _ = bus.receive(5.0)
-    assert codec.decode(frame) == codec.PropertyReply(10, 8, 1)
+    assert codec.decode(frame) == messages.PropertyReply(10, 8, 1)
     bus.close()
 
 
