@@ -11,10 +11,10 @@ DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo environment test test-oracles test-slow planted-faults lint types robot-test kernel-test bench docs pins clean
+.PHONY: help demo environment test test-and-oracles test-oracles test-slow planted-faults lint types robot-test kernel-test bench docs pins clean
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
 	@echo "Variables: PYTHON=python3.13 (to make the environment with), VENV=.venv (where it lies)"
 
@@ -26,8 +26,11 @@ environment: $(DEV)  ## what tests need, installed, and none run
 test: $(DEV)  ## the fast tests
 	@$(PYTEST)
 
+test-and-oracles: $(DEV)  ## both in one run: what a test has compiled serves its file's oracles
+	@$(PYTEST) -m "not slow and not hardware"
+
 test-oracles: $(DEV)  ## what proves physics, gradients and safety: minutes
-	@$(PYTEST) tests/tuning tests -m "oracle and not slow and not hardware"  # the longest first
+	@$(PYTEST) -m "oracle and not slow and not hardware"
 
 test-slow: $(DEV)  ## long statistics and whole jobs: half an hour
 	@$(PYTEST) -m "slow and not hardware"

@@ -1,7 +1,8 @@
 """What Python shows of parameters, margins and outcomes: names, values and units, in text and in a notebook."""
 
 import html
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,11 +26,12 @@ class Line(NamedTuple):
 
 
 def as_text(title: str, lines: Sequence[Line]) -> str:
-    """A title, and a line for each quantity below it."""
+    """A title, and a line for each quantity below it; what is too long for a line goes on in the next."""
     name = max((len(line.name) for line in lines), default=0)
     value = min(max((len(f"{line.value} {line.unit}") for line in lines), default=0), 48)
     rows = [f"  {line.name:<{name}}  {f'{line.value} {line.unit}'.strip():<{value}}  {line.text}" for line in lines]
-    return "\n".join(_fitting(row.rstrip()) for row in [title, *rows])
+    below = " " * (min(name, WIDTH // 3) + 6)
+    return "\n".join(textwrap.fill(row.rstrip(), WIDTH, subsequent_indent=below) for row in [title, *rows])
 
 
 def as_html(title: str, lines: Sequence[Line]) -> str:
@@ -73,7 +75,7 @@ def experiment(one: Any) -> tuple[str, list[Line]]:
     lines = [
         Line("physics", one.physics, "", path),
         Line("duration", f"{one.duration:g}", "s", f"of which {one.settle:g} s are not scored"),
-        Line("stiffness", _values(np.asarray(one.stiffness)), "N/m", tissue),
+        Line("stiffness", values(np.asarray(one.stiffness)), "N/m", tissue),
         Line("sampling_time", f"{one.sampling_time:g}", "s", f"delay {one.delay} samples"),
         Line("motion", motion, "", f"scale {one.motion.scale:g}, seed {one.motion.seed}"),
         Line("sensor", f"{one.sensor.noise:g}", "N", "noise of the force sensor, RMS"),
@@ -82,15 +84,34 @@ def experiment(one: Any) -> tuple[str, list[Line]]:
     return f"Experiment {one.name}", lines
 
 
+def settings(one: Any, units: Mapping[str, str]) -> tuple[str, list[Line]]:
+    """Title and lines of a frozen struct of settings, units where a name does not say its own."""
+    pairs = ((name, getattr(one, name)) for name in one.__struct_fields__)
+    return type(one).__name__, [Line(name, _setting(value), units.get(name, ""), "") for name, value in pairs]
+
+
+def _setting(value: Any) -> str:
+    if not isinstance(value, tuple):
+        return f"{value}"
+    words = any(isinstance(each, str) for each in value)
+    return (", ".join(map(str, value)) if words else values(value)) if value else "none"
+
+
 def _lines(table: Any, holder: Any) -> list[Line]:
     return [_line(row, getattr(holder, name)) for name, row in table.items()]
 
 
 def _line(row: Quantity, value: Any) -> Line:
-    return Line(row.name, _values(value), "" if row.unit == "-" else row.unit, row.text)
+    return Line(row.name, values(value), unit(row), row.text)
 
 
-def _values(value: Any) -> str:
+def unit(row: Any) -> str:
+    """Unit of a quantity or an axis; empty where it has none."""
+    return "" if row.unit == "-" else f"{row.unit}"
+
+
+def values(value: Any) -> str:
+    """Few numbers written out, of more the least, the largest and the shape."""
     try:
         numbers = np.asarray(value, float)
     except Exception:  # what JAX traces has no value yet
@@ -117,7 +138,3 @@ def _status(codes: Any) -> Line:
 def _of(array: Any) -> str:
     shape = tuple(getattr(array, "shape", ()))
     return f" {shape}" if shape else ""
-
-
-def _fitting(line: str) -> str:
-    return line if len(line) <= WIDTH else f"{line[: WIDTH - 1]}…"

@@ -1,6 +1,7 @@
 """Dask.distributed computes: workers on this machine or on many; this process alone writes."""
 
 import queue
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
@@ -19,6 +20,8 @@ CONNECT_S = 10.0
 """So long a scheduler may take to answer [s]."""
 ALLOWED_DEATHS = 3
 """So many workers of ours may die of one chunk; a scheduler of the user's has its own `allowed-failures`."""
+REPLACE_S = 5.0
+"""So often workers of ours that are missing are started anew [s]."""
 _SECURE = ("tcp://", "tls://", "ucx://", "ws://", "wss://")
 
 
@@ -31,8 +34,6 @@ def worked(plan: Plan, first: int, last: int, cores: int | None) -> tuple[Column
         last: Place behind the last.
         cores: CPU cores that it may use; None is all of its machine's.
     """
-    import time
-
     _prepare(cores)
     import jax
 
@@ -76,6 +77,7 @@ class DaskCrew(Crew):
     ) -> None:
         distributed, config = _dask()
         self._told, self._cores, self._local = told, cores, None
+        self._wanted, self._replaced = workers, time.monotonic()
         # Progress and wrong input are ours to tell.
         settings = {"distributed.scheduler.allowed-failures": ALLOWED_DEATHS, "distributed.admin.log-length": 0}
         with config.set(settings):
@@ -128,14 +130,22 @@ class DaskCrew(Crew):
 
     def _send(self, plan: Plan, share: Share, pace: Pace, stop: Stop, flying: dict[Any, Stretch]) -> None:
         """Hand out chunks until every worker has enough."""
-        workers = max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
-        while len(flying) < AHEAD * workers and not stop():
+        while len(flying) < AHEAD * self._workers() and not stop():
             stretch = share.next(pace.length)
             if stretch is None:
                 return
             future = self._client.submit(worked, plan, *stretch, self._cores, pure=False)
             flying[future] = stretch
             future.add_done_callback(self._landed.put)
+
+    def _workers(self) -> int:
+        """How many workers there are, at least 1; those of ours that are missing are started."""
+        found = len(self._client.scheduler_info(n_workers=-1)["workers"])
+        if self._local is not None and found < self._wanted and time.monotonic() - self._replaced > REPLACE_S:
+            self._replaced = time.monotonic()
+            # Dask gives up for good who died and is not back within seconds, as on a busy machine; this opens another.
+            self._local.scale(self._wanted)
+        return max(found, 1)
 
     def _chunk(self, future: Any, stretch: Stretch, pace: Pace) -> ComputedChunk:
         try:

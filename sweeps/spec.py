@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from jaxmpc import described
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
@@ -40,6 +41,17 @@ class SweepSpec:
     kept: tuple[str, ...] = tuple(MEASURED)
     on_error: OnError = "keep"
     refine: RefineTable | None = None
+
+    def __repr__(self) -> str:
+        lines = [
+            described.Line(axis.name, described.values(axis.values), described.unit(axis), axis.scale)
+            if axis.numeric
+            else described.Line(axis.name, ", ".join(map(axis.label, range(len(axis.values)))), "", axis.scale)
+            for axis in self.space.axes
+        ]
+        lines += [described.Line("ranked by", self.goal.text, "", ""), *described.experiment(self.experiment)[1]]
+        title = f"SweepSpec {self.name}, {self.space.kind}, {self.space.count} rows on {self.experiment.name}"
+        return described.as_text(title, lines)
 
     @staticmethod
     def from_toml(path: str | Path) -> "SweepSpec":

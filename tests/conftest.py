@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 import pytest
 
 if find_spec("jax"):
-    # The user's cache is not ours to fill, nor is that of an earlier run to be trusted. What one process of this run
-    # compiles serves the others, and its worker processes inherit the folder; .ci/run has one for all of its stages.
+    # The user's cache is not ours to fill, nor is that of an earlier run to be trusted: what one process of this run
+    # compiles serves the others, its workers, which inherit the folder.
     if "TEST_PROGRAMS" not in os.environ:
         _programs = TemporaryDirectory(prefix="jaxmpc-programs-")
         os.environ["TEST_PROGRAMS"] = _programs.name

@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.files.outputs import check_folder
     from jaxmpc.files.sealed import write_atomic
     from jaxmpc.limit.conic import solver
+    from jaxmpc.terminal.layout import columns_of_output
     from tuning import TuneSpec, pareto, report, tune
     from tuning.reports.limit import limit_section
     from tuning.reports.text import section_text
@@ -56,11 +57,11 @@ def run(args: argparse.Namespace) -> int:
     print(f"{args.spec}: {spec.tune.starts} starts, {spec.tune.steps} steps, results to {args.out}")
     print(_resolved(spec))
     result = tune(spec, args.out, progress=not args.quiet)
-    print(report(result))
+    print(report(result, columns_of_output()))
     if args.limit and result.feasible:
-        text = section_text(limit_section(result))
-        print(text)
-        write_atomic(args.out / "limit.txt", text.encode())
+        section = limit_section(result)
+        print(section_text(section, columns_of_output()))
+        write_atomic(args.out / "limit.txt", section_text(section).encode())
     if spec.pareto and result.met:
         pareto(result.spec, args.out, not args.quiet, result.state.leader_z)
     print("\n".join(f"wrote {path}" for path in sorted(args.out.iterdir()) if not path.name.startswith(".")))
@@ -72,24 +73,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _resolved(spec: "TuneSpec") -> str:
     """What is tuned on what, in a few lines; all of it is in the spec that lies beside the results."""
-    from tuning.job.goals import GOALS
+    from jaxmpc.terminal.layout import columns_of_output
+    from tuning.job.shown import resolved
 
-    experiment, met = spec.experiment, spec.scenarios
-    tissues = ", ".join(f"{K:g}" for K in experiment.stiffness)
-    hard = [f"{name} {GOALS[name].sign} {GOALS[name].amount(limit)}" for name, limit in spec.goals.items()]
-    implied = [f"{name} {GOALS[name].sign} {GOALS[name].amount(limit)}" for name, limit in spec.implied.items()]
-    start = {axis.name: spec.params.to_dict().get(axis.name) for axis in spec.space.axes}
-    rows = {
-        "experiment": f"{experiment.name}, physics {experiment.physics}, {experiment.duration:g} s, K_s {tissues} N/m",
-        "free": ", ".join(name if value is None else f"{name} from {value:.4g}" for name, value in start.items()),
-        "held": ", ".join(hard) + (f"; by the robot's limits {', '.join(implied)}" if implied else ""),
-        "minimised": ", ".join(f"{name} over {limit:g}" for name, limit in spec.soft.items()),
-        "met": f"rhythms {', '.join(met.rhythms) or 'none'}; friction ±{100 * met.friction:g} %, "
-        f"masses ±{100 * met.mass:g} %, delay {', '.join(map(str, met.delays)) or experiment.delay}",
-        "risk": ", ".join(f"{name} {value}" for name, value in spec.to_dict()["risk"].items()),
-    }
-    lines = [f"  {title:<11} {text}" for title, text in rows.items()]
-    return "\n".join(textwrap.fill(line, 120, subsequent_indent=" " * 14) for line in lines)
+    width = min(columns_of_output(), 120)
+    lines = [f"  {title:<11} {text}" for title, text in resolved(spec).items()]
+    return "\n".join(textwrap.fill(line, width, subsequent_indent=" " * 14) for line in lines)
 
 
 def shipped() -> dict[str, Path]:

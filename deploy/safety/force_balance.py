@@ -50,7 +50,7 @@ class BalanceState(NamedTuple):
     learned_slip: float = 0.0
     """Its sum in the air [-]."""
     sums: MotionSums = MotionSums()
-    """Of contact."""
+    """Sums in contact."""
     beyond: int = 0
     """Samples in a row beyond the bounds."""
 

@@ -173,7 +173,7 @@ class _Status:
 
     def __init__(self, twin: "Twin", server: "Server") -> None:
         self._twin, self._server, self._terminal = twin, server, sys.stdout.isatty()
-        self._every, self._frames = 1000 if self._terminal else 10_000, 0
+        self._every, self._frames, self._longest = 1000 if self._terminal else 10_000, 0, 0
 
     def __call__(self, twin: "Twin") -> None:
         if twin.tick % self._every:
@@ -183,8 +183,11 @@ class _Status:
         rate, self._frames = 1e3 * (frames - self._frames) / self._every, frames
         contact = f"z {truth.force[2]:+.2f} N" if truth.touching else "no contact"
         late = self._server.counters["late ticks"]
-        text = f"{twin.now:7.0f} s  {_MODES[twin.safety.mode]:6}  {contact:12}  {rate:5.0f} frames/s  {late} ticks late"
-        print(f"\r{text}" if self._terminal else text, end="" if self._terminal else "\n", flush=True)
+        # Short enough for sixty columns: a line that wraps could not be rewritten.
+        text = f"{twin.now:.0f} s  {_MODES[twin.safety.mode]}  {contact}  {rate:.0f} frames/s  {late} ticks late"
+        self._longest = max(self._longest, len(text))
+        over = f"\r{text:<{self._longest}}"
+        print(over if self._terminal else text, end="" if self._terminal else "\n", flush=True)
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import NamedTuple
 
 from jaxmpc.files.errors import InputError, nearest, plain
+from jaxmpc.terminal.folding import folded_output
 from jaxmpc.terminal.parser import CommandParser
 
 
@@ -105,8 +106,9 @@ def _run(verb: str, parser: CommandParser, argv: Sequence[str]) -> int:
         if reconfigure := getattr(stream, "reconfigure", None):
             reconfigure(errors="replace")
     args = parser.parse_args(argv)
-    code = int(import_module(VERBS[verb].module).run(args))
-    sys.stdout.flush()
+    with folded_output():
+        code = int(import_module(VERBS[verb].module).run(args))
+        sys.stdout.flush()
     return code
 
 

@@ -1,7 +1,6 @@
 """`jaxmpc demo`: the whole story in one go: paper → sweep → tune → arm → freeze → fly → replay, with pictures."""
 
 import argparse
-import shutil
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -9,6 +8,8 @@ from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from jaxmpc.files.sealed import write_atomic
 
 if TYPE_CHECKING:
     import numpy as np
@@ -85,8 +86,9 @@ def _step(title: str) -> Iterator[None]:
 
 def _example(folder: Path, name: str) -> Path:
     """A copy of a shipped spec, for the user to change and run again."""
-    with resources.as_file(resources.files("jaxmpc") / "examples" / name) as source:
-        return Path(shutil.copyfile(source, folder / name))
+    path = folder / name
+    write_atomic(path, (resources.files("jaxmpc") / "examples" / name).read_bytes())
+    return path
 
 
 def _paper(text: "Params", printed: "Params") -> None:
@@ -122,10 +124,11 @@ def _sweep(folder: Path) -> "Result":
 
 
 def _tune(folder: Path) -> "TuneResult":
+    from jaxmpc.terminal.layout import columns_of_output
     from tuning import TuneSpec, history_figure, report, tune
 
     result = tune(TuneSpec.from_toml(_example(folder, "demo-tune.toml")), folder / "tune", progress=True)
-    print(report(result))
+    print(report(result, columns_of_output()))
     history_figure(result, folder / "tuning-history.png")
     return result
 

@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.limit.comparison import cells, told
     from jaxmpc.limit.least import Demands, check_demands
     from jaxmpc.terminal.arguments import experiment_from, params_from
+    from jaxmpc.terminal.progress import progress, said_after
     from jaxmpc.terminal.tables import number, show
 
     check_file("-o", args.output, ".json")
@@ -51,8 +52,13 @@ def run(args: argparse.Namespace) -> int:
         f"experiment {experiment.name}, physics {experiment.physics}: any linear law, stiffness {known}, "
         f"M_s ≤ {demands.M_s:g}, chatter ≤ {demands.chatter:g} m/s²"
     )
-    found = list(cells(experiment, demands, params))
-    flights = _flights(experiment, found) if args.fly else []
+    found = []
+    with progress("laws", 3 * len(experiment.stiffness), "of tissue and axis") as tick:
+        for cell in cells(experiment, demands, params):
+            found.append(cell)
+            tick(len(found), f"{cell.stiffness:g} N/m, {cell.axis.upper()}")
+    with said_after("flying each of them …"):
+        flights = _flights(experiment, found) if args.fly else []
 
     table = [[*_place(cell), *_entries(cell.limit.reached)] for cell in found]
     for row, flight in zip(table, flights, strict=False):

@@ -9,11 +9,16 @@ import numpy as np
 
 from jaxmpc.engine.base import CellResults, Engine, ProgramSpec, ScenarioData, scalars
 from jaxmpc.engine.scan import on_arm
+from jaxmpc.files.errors import InputError
 from jaxmpc.law.chain import Chain
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.scalar import Vector
 from jaxmpc.world.arm import JOINTS, model
 from jaxmpc.world.contact import Contact
+
+CRASHES = "0.11.2"
+"""Version of JAX whose compiler ends the process (segmentation fault) on stock MJX dealt out to several devices of a
+CPU; 0.10.2 and 0.12.0.1 compile it."""
 
 
 class Mjx(Engine):
@@ -32,8 +37,15 @@ class Mjx(Engine):
         dtype: Any,
         traced: bool = False,
     ) -> CellResults:
-        """See `Engine.simulate`."""
+        """See `Engine.simulate`.
+
+        Raises:
+            InputError: This version of JAX would crash.
+        """
         del contacts
+        if jax.__version__ == CRASHES and jax.default_backend() == "cpu" and jax.local_device_count() > 1:
+            remedy = 'Take another version of jax, or physics = "wam", which agrees with it.'
+            raise InputError("physics", "mjx", f"another one with jax {CRASHES}, which crashes on it", remedy)
         gains = scalars(gains, spec.preview)
         return on_arm(spec, accelerate, lambda step, one: step, gains, K2, data, dtype, traced)
 

@@ -1,5 +1,6 @@
 """Wrong input, said in one sentence that names the key, the value, the bound and the remedy."""
 
+import textwrap
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ LONGEST_VALUE, LONGEST_TEXT = 80, 1200
 """How much of a value, and of any other part, is repeated [characters]."""
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class InputError(ValueError):
     """Wrong input. The command line prints it and exits with 2; nothing has been written by then.
 
@@ -32,6 +33,9 @@ class InputError(ValueError):
         where = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
         key, value = plain(self.key, LONGEST_VALUE), plain(_text_of(self.value), LONGEST_VALUE)
         return plain(f"{where}{key} = {value}: must be {self.bound}. {self.remedy}")
+
+    def __repr__(self) -> str:
+        return textwrap.fill(f"InputError: {self}", 100, subsequent_indent="  ")
 
     def at(self, file: Path, line: int | None = None) -> "InputError":
         """The same error, placed in a file."""

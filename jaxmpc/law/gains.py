@@ -43,6 +43,43 @@ class Gains(NamedTuple):
     schedule: "GainSchedule | None" = None
     """Gains for a stiffness that is known; None has none, and these gains then serve every tissue."""
 
+    def __repr__(self) -> str:
+        rows = [f"  {name:<10}  {_shown(getattr(self, name)):<40}  {unit}".rstrip() for name, unit in _UNITS.items()]
+        besides = [name for name in ("guard", "force_filter", "schedule") if getattr(self, name) is not None]
+        return "\n".join([f"Gains{', with ' if besides else ''}{', '.join(besides)}", *rows])
+
+
+_UNITS = {
+    "phi": "s, -",
+    "gamma": "N s²/m, N s/m",
+    "K": "-, 1/s, then m/(s² N)",
+    "L": "m/(s² N), m/(s N), -",
+    "input_gain": "m/(s² N)",
+    "mpc_ref": "-",
+    "mpc_x": "-, s",
+    "mpc_u": "-",
+}
+"""Units of the entries of each gain."""
+_MOST = 5
+"""Entries that are written out; of more, the least and the largest."""
+
+
+def _shown(value: Any) -> str:
+    """Numbers in a few words, be they floats, arrays or what a compiler traces."""
+    shape = getattr(value, "shape", ())
+    try:
+        nested = value.tolist() if hasattr(value, "tolist") else value
+        numbers = _flat(nested)
+    except Exception:  # what is traced has no value yet
+        return f"traced {shape}"
+    if len(numbers) <= _MOST:
+        return ", ".join(f"{x:.4g}" for x in numbers)
+    return f"{min(numbers):.4g} … {max(numbers):.4g} {shape or (len(numbers),)}"
+
+
+def _flat(nested: Any) -> list[float]:
+    return [x for each in nested for x in _flat(each)] if isinstance(nested, list | tuple) else [float(nested)]
+
 
 class Knot(NamedTuple):
     """The controller for one known stiffness of the tissue."""

@@ -63,9 +63,9 @@ def _total(widths: Sequence[int]) -> int:
 def _drawn(grid: list[list[str]], columns: list[int], widths: list[int], keys: int) -> str:
     lines = []
     for number, row in enumerate(grid):
-        first, *rest = textwrap.wrap(row[0], widths[0], drop_whitespace=True) or [""]
-        # An indented name stays indented.
-        first = row[0] if cells(row[0]) <= widths[0] else first
+        # A name that fits stays as it is, indented too; an accent is a character to textwrap, but takes no place.
+        fits = cells(row[0]) <= widths[0]
+        first, *rest = [row[0]] if fits else textwrap.wrap(row[0], widths[0], drop_whitespace=True)
         line = [_padded(first, widths[0], left=True)]
         line += [_padded(row[column], widths[column], left=column < keys) for column in columns[1:]]
         lines.append(f" {(' ' * GAP).join(line)}".rstrip())

@@ -45,8 +45,9 @@ def sweep_report(result: Result, path: Path, max_M_s: float | None = None, curve
             told += f" Of the best {len(again)} of those that ran once more, as they ran on the {world_words(result)}."
         rows = replace(rows, details=found, note=told)
     counts = ", ".join(f"{count} {name}" for name, count in wide.status_counts().items() if count)
+    tissues = len(wide.plan.stiffness)
     lead = [
-        f"{len(wide)} rows on {len(wide.plan.stiffness)} stiffnesses; row × stiffness: {counts}.",
+        f"{len(wide)} rows on {tissues} {'stiffness' if tissues == 1 else 'stiffnesses'}; row × stiffness: {counts}.",
         f"Result sha256 {result.hash}, spec {result.plan.spec_hash[:12]}.",
     ]
     if not result.complete:

@@ -12,7 +12,7 @@ from tests.sources import ROOT
 NOTEBOOK = ROOT / "docs" / "story.ipynb"
 
 
-@pytest.mark.slow
+@pytest.mark.oracle
 @pytest.mark.filterwarnings("ignore")
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import nbformat

@@ -67,3 +67,10 @@ def test_stock_mjx_steps_as_mujoco_does_and_says_so() -> None:
     assert BRIEF.arm.integrator == "euler"
     with pytest.raises(InputError, match="euler"):
         changed(TABLE, physics="mjx")
+
+
+def test_stock_mjx_is_refused_where_the_compiler_would_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jax, "__version__", "0.11.2")
+    monkeypatch.setattr(jax, "local_device_count", lambda: 2)
+    with pytest.raises(InputError, match=r"physics = mjx.*0\.11\.2.*wam"):
+        evaluate(Params(), BRIEF)

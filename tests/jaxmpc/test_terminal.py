@@ -3,7 +3,6 @@
 import fcntl
 import os
 import pty
-import re
 import struct
 import subprocess
 import sys
@@ -11,7 +10,6 @@ import termios
 from pathlib import Path
 
 import numpy as np
-import pyte
 import pytest
 
 from jaxmpc.cli.comparison import PAPER_HEADER, REDUCTION_HEADER
@@ -19,8 +17,8 @@ from jaxmpc.cli.limit import HEADER, PLACE
 from jaxmpc.quantities import MARGINS
 from jaxmpc.terminal import layout
 from jaxmpc.terminal.tables import RESIDUAL_HEADER
+from tests.screen import WIDTHS, shown
 
-WIDTHS = (60, 80, 120)
 TRIALS = ("controller", "RMS N, median", "true", "|e| N, 99 %", "largest", "swing N, median", "95 %", "guard at rest %")
 TABLES = {
     "residuals": (RESIDUAL_HEADER, 2, "paper's text design, as it was published"),
@@ -31,17 +29,6 @@ TABLES = {
     "trials": (TRIALS, 1, "a-controller-with-a-name-that-nobody-would-type"),
     "tissues": (("metric", *(f"{K:g} N/m" for K in np.geomspace(300, 2200, 33))), 1, "peak error [mN]"),
 }
-
-
-def shown(data: bytes, columns: int) -> list[str]:
-    """Lines of a terminal of that width after all that was written to it."""
-    screen = pyte.Screen(columns, 400)
-    pyte.ByteStream(screen).feed(data)
-    return [line.rstrip() for line in screen.display]
-
-
-def numbers(text: str) -> list[str]:
-    return re.findall(r"−?\d+[.,]?\d*", text)
 
 
 @pytest.mark.parametrize("columns", WIDTHS)
@@ -67,6 +54,7 @@ def test_an_output_that_is_no_terminal_has_each_row_on_one_line() -> None:
 def test_accents_and_wide_characters_take_the_places_that_a_terminal_gives_them() -> None:
     assert layout.cells("K̂_s") == 3
     assert layout.cells("心") == 2
+    assert len(layout.table(["controller", "RMS"], [["printed, K̂_s 500", "1"]], 80).splitlines()) == 3
     head, rule, row = layout.table(["K̂", "λ"], [["心臓", "1"]], 80).splitlines()
     assert layout.cells(head) == layout.cells(row) == layout.cells(rule)
 

@@ -78,6 +78,10 @@ def test_it_fits_and_is_drawn(dark: bool, width: int, chrome: Opened, small: Pat
     page.locator("button", has_text="row 0").first.click()
     page.wait_for_timeout(500)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+    # A view that stood alone while it was drawn is as narrow as its column; parallel axes alone may scroll.
+    wide = """() => [...document.querySelectorAll(".chart")].filter((box) =>
+        [...box.querySelectorAll("canvas")].some((canvas) => canvas.clientWidth > box.clientWidth)).length"""
+    assert page.evaluate(wide) == 0
     ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert ground == ("rgb(21, 24, 28)" if dark else "rgb(255, 255, 255)")
     # Lines, four views, the three charts of the section, the two of the row.

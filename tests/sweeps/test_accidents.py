@@ -142,8 +142,12 @@ def test_a_full_disk_and_then_space(expected: tuple[Path, str], tiny_disk: Path)
     assert finish(start(path, folder)) == at_once
 
 
-def test_dask_workers_stand_kills_and_the_client_one(longer: tuple[Path, str], tmp_path: Path) -> None:
+def test_dask_workers_stand_kills_and_the_client_one(
+    longer: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("distributed")
+    # As on a machine so busy that no worker is back in time: Dask gives each of them up.
+    monkeypatch.setenv("DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT", "100 ms")
     path, at_once = longer
     folder, choice = tmp_path / "run", random.Random(3)
     client = start(path, folder, "--local-workers", "2")

@@ -1,5 +1,6 @@
 """Goals on margins and on what a run measures, each a number that is at most 1 where the goal is met."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.experiment import AXES
+from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS, METRICS, Metric, Quantity
 from jaxmpc.stability import Margins
@@ -110,3 +112,27 @@ def run_goals(
             cells = cells[..., place : place + 1]
         found[name] = cells / limit
     return found
+
+
+def check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, Quantity]) -> None:
+    """Refuse goals that are unknown, or have no limit that can be met.
+
+    Args:
+        goals: Limits by name, each in its quantity's unit.
+        table: Of the job's file.
+        known: Quantities that may be goals there.
+
+    Raises:
+        InputError: Names key, value, bound and remedy.
+    """
+    for name, limit in goals.items():
+        if name in MARGINS and name not in known:
+            raise InputError(f"{table}.{name}", limit, "a goal of the runs", "Margins are held: put it under [goals].")
+        if name not in known:
+            remedy = nearest(name, [*known, "ideal", "soft"] if table == "goals" else list(known))
+            raise InputError(f"{table}.{name}", limit, "a known goal", remedy)
+        low = 1.0 if name == "M_s" else 0.0
+        number = isinstance(limit, int | float) and not isinstance(limit, bool)
+        if not (number and low < limit < math.inf):
+            bound = f"a number above {known[name].amount(low)}"
+            raise InputError(f"{table}.{name}", limit, bound, "Give a limit.")

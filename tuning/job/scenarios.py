@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
+from jaxmpc import described
 from jaxmpc.engine.base import ScenarioData
 from jaxmpc.engine.scenario import scenario_data, side_by_side
 from jaxmpc.experiment import Experiment
@@ -49,6 +50,9 @@ class Scenarios(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Delays to choose from [samples]; none is the experiment's own. Margins are judged at the experiment's."""
     cable_hz: tuple[Annotated[float, msgspec.Meta(gt=0.0, le=300.0)], ...] = ()
     """Lowest and highest cable mode [Hz]; none is the experiment's own. On the arm alone."""
+
+    def __repr__(self) -> str:
+        return described.as_text(*described.settings(self, {"delays": "samples", "cable_hz": "Hz"}))
 
     def check(self, experiment: Experiment) -> None:
         """Refuse what an experiment cannot show.

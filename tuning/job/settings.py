@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from jaxmpc import described
 from jaxmpc.files.errors import InputError
 from jaxmpc.world.heart.bounds import Seed
 
@@ -46,6 +47,9 @@ class TuneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Free parameters of which each diagonal entry is tuned by itself."""
     tied: tuple[str, ...] = ()
     """Free parameters of the knots that all knots have in common; of the stiffness assumed, the ratio to their own."""
+
+    def __repr__(self) -> str:
+        return described.as_text(*described.settings(self, {"duration": "s", "settle": "s"}))
 
     def check(self) -> None:
         """Refuse what contradicts itself.

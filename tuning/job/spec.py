@@ -1,6 +1,5 @@
 """What to tune, as a TOML file: experiment, starting point, free parameters, goals."""
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -10,20 +9,22 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from jaxmpc import described
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import digest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
-from jaxmpc.quantities import HIGHEST_M_S, MARGINS, Quantity
+from jaxmpc.quantities import HIGHEST_M_S, MARGINS
 from jaxmpc.stability.family import judged_where
 from jaxmpc.synthesis.params import Params
 from tuning.job.axes import axes_of, check_axis, free_table
-from tuning.job.goals import GOALS, MEASURED, OVERSHOOT
+from tuning.job.goals import GOALS, MEASURED, OVERSHOOT, check_goals
 from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
+from tuning.job.shown import resolved
 from tuning.job.space import FREE, FREE_OF_KNOTS, KNOTS, Bounds, SearchSpace, axis_of
 
 HARD = {"M_s": HIGHEST_M_S}
@@ -63,13 +64,13 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     def __post_init__(self) -> None:
         self.tune.check()
         self.scenarios.check(self.experiment)
-        _check_goals(self.goals, "goals", GOALS)
-        _check_goals(self.soft, "goals.soft", MEASURED)
+        check_goals(self.goals, "goals", GOALS)
+        check_goals(self.soft, "goals.soft", MEASURED)
         for name, limits in self.pareto.items():
             if not isinstance(limits, list | tuple) or not limits:
                 raise InputError(f"pareto.{name}", limits, "a list of limits", "Write such as [1.6, 2.0, 3.0].")
             for limit in limits:
-                _check_goals({name: limit}, "pareto", GOALS)
+                check_goals({name: limit}, "pareto", GOALS)
         if self.params.batch_shape:
             raise InputError("params", f"a batch {self.params.batch_shape}", "one controller", "Give one start point.")
         if not self.free:
@@ -96,6 +97,10 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
                 raise InputError("experiment.stiffness", list(self.experiment.stiffness), "with every knot's", remedy)
         if OVERSHOOT in {**self.soft, **self.goals}:
             raise InputError(f"goals.{OVERSHOOT}", "given", "left out with knots", "It is of the fixed gains alone.")
+
+    def __repr__(self) -> str:
+        lines = [described.Line(title, text, "", "") for title, text in resolved(self).items()]
+        return described.as_text(f"TuneSpec, {self.tune.starts} starts, {self.tune.steps} steps", lines)
 
     @property
     def before(self) -> Params:
@@ -249,17 +254,3 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             risk=convert(data.get("risk", {}), Risk, "risk"),
             pareto=data.get("pareto", {}),
         )
-
-
-def _check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, Quantity]) -> None:
-    for name, limit in goals.items():
-        if name in MARGINS and name not in known:
-            raise InputError(f"{table}.{name}", limit, "a goal of the runs", "Margins are held: put it under [goals].")
-        if name not in known:
-            remedy = nearest(name, [*known, "ideal", "soft"] if table == "goals" else list(known))
-            raise InputError(f"{table}.{name}", limit, "a known goal", remedy)
-        low = 1.0 if name == "M_s" else 0.0
-        number = isinstance(limit, int | float) and not isinstance(limit, bool)
-        if not (number and low < limit < math.inf):
-            bound = f"a number above {known[name].amount(low)}"
-            raise InputError(f"{table}.{name}", limit, bound, "Give a limit.")

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxmpc import margins
+from jaxmpc import described, margins
 from jaxmpc.metrics import Metrics
+from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.stability import Margins
 from jaxmpc.stability.family import family_margins, judged_where
 from jaxmpc.synthesis.params import Params
@@ -66,6 +67,25 @@ class TuneResult:
     """Margins of families with the stiffness known, as `jaxmpc freeze` judges them."""
     refused: str = ""
     """Why freezing refuses it; "" where it accepts, and for jobs that are not for a robot."""
+
+    def __repr__(self) -> str:
+        return described.as_text(*self._told())
+
+    def _repr_html_(self) -> str:
+        return described.as_html(*self._told())
+
+    def _told(self) -> tuple[str, list[described.Line]]:
+        """Title and lines: what was reached, before → after, and the controller that did."""
+        rows = {name: self.worst_of(name) for name in ("rms", "true_rms", "peak_error", "chatter")}
+        found = self.margins["ideal" if self.spec.ideal else "as run"]
+        rows |= {name: tuple(row.worst(np.asarray(getattr(found, name)), axis=1)) for name, row in MARGINS.items()}
+        quantities = {**METRICS, **MARGINS}
+        lines = [
+            described.Line(name, f"{before:.4g} → {after:.4g}", described.unit(quantities[name]), "worst, held out")
+            for name, (before, after) in rows.items()
+        ]
+        title = "TuneResult, " + ("every goal met" if self.met else self.unmet())
+        return title, [*lines, *described.parameters(self.params)[1]]
 
     @property
     def met(self) -> bool:

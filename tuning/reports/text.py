@@ -1,30 +1,25 @@
 """A tuning run as plain text."""
 
-from collections.abc import Iterator
-
-from jaxmpc.report.content import Section, Table
+from jaxmpc.report.content import Section
+from jaxmpc.terminal import layout
 from tuning.proof.result import TuneResult
 from tuning.reports.sections import sections, summary, way
 
 
-def report(result: TuneResult) -> str:
-    """The whole result as plain text, but for what is folded on the page."""
-    parts = [section_text(section) for section in sections(result)]
+def report(result: TuneResult, width: int = layout.UNLIMITED) -> str:
+    """The whole result as plain text, but for what is folded on the page.
+
+    Args:
+        result: Of a job.
+        width: Characters of a line that its tables may take; what does not fit is stacked [-].
+    """
+    parts = [section_text(section, width) for section in sections(result)]
     return "\n".join([*summary(result), "", *parts, "THE WAY THERE", *way(result)]) + "\n"
 
 
-def section_text(section: Section) -> str:
+def section_text(section: Section, width: int = layout.UNLIMITED) -> str:
     """One part of it."""
     lines = [section.title.upper(), *section.sentences]
     for table in section.tables:
-        lines += [] if table.folded else aligned(table)
+        lines += [] if table.folded else [layout.table(table.head, table.rows, width)]
     return "\n".join(lines) + "\n"
-
-
-def aligned(table: Table) -> Iterator[str]:
-    """Lines of a table: the first column to the left, the others to the right."""
-    lines = [list(table.head), *table.rows]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    for first, *others in lines:
-        cells = (cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True))
-        yield "  ".join([first.ljust(widths[0]), *cells]).rstrip()

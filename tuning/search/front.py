@@ -12,6 +12,7 @@ import jax
 import msgspec
 import numpy as np
 
+from jaxmpc import described
 from jaxmpc.files.sealed import write_atomic
 from jaxmpc.metrics import Metrics
 from jaxmpc.pictures.figures import figure
@@ -44,6 +45,14 @@ class Front(NamedTuple):
     """Reached value of each limited goal, (points, goals), in its unit."""
     cells: Metrics
     """In training, each field (points, stiffness, scenarios, 3)."""
+
+    def __repr__(self) -> str:
+        lines = [
+            described.Line(name, ", ".join(f"{x:.4g}" for x in limits), described.unit(GOALS[name]), "limits")
+            for name, limits in self.limits.items()
+        ]
+        lines.append(described.Line("score", ", ".join(f"{x:.4g}" for x in self.score), "", "risk of the soft goals"))
+        return described.as_text(f"Front of {len(self.score)} points, {sum(map(bool, self.params))} held", lines)
 
 
 @in_float64

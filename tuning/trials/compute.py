@@ -40,7 +40,7 @@ class _Constants(NamedTuple):
     varied: tuple[int, ...]
     """Which of them are a trial's own."""
     structure: Any
-    """Of a `Robot`."""
+    """Tree structure of a `Robot`."""
     signals: ArmSignals
     """Those of the first trial."""
 

@@ -49,9 +49,11 @@ function detailView(state, box) {
     const left = element("div"), right = element("div");
     if (parameters.length + others.length) left.append(cells(["parameter", "value"], [...parameters, ...others].map((each) => [heading(each), written(each, each.worst[i])])));
     const results = rows.measures.filter((each) => each.role === "metric" || each.role === "margin");
-    left.append(cells(["", ...rows.tissues, "worst"], [
-      ["status", ...rows.tissues.map((_, t) => rows.states[rows.status[t * state.count + i]].name), ""],
-      ...results.map((each) => [heading(each), ...rows.tissues.map((_, t) => (each.tissues ? written(each, each.columns[t][i]) : "")), written(each, each.worst[i])]),
+    // Of one tissue the worst is that one.
+    const worst = (text) => (rows.tissues.length > 1 ? [text] : []);
+    left.append(cells(["", ...rows.tissues, ...worst("worst")], [
+      ["status", ...rows.tissues.map((_, t) => rows.states[rows.status[t * state.count + i]].name), ...worst("")],
+      ...results.map((each) => [heading(each), ...rows.tissues.map((_, t) => (each.tissues || rows.tissues.length === 1 ? written(each, each.tissues ? each.columns[t][i] : each.worst[i]) : "")), ...worst(written(each, each.worst[i]))]),
     ]));
     const text = tomlOf(state, i);
     if (text) {

@@ -138,7 +138,8 @@ function influenceView(state, box) {
 
   function option(colors) {
     const shares = influence[name], width = shares[0].length;
-    const places = width > 1 ? [`worst ${state.rows.group}`, ...tissues] : ["all"];
+    // Of one tissue the worst is that one.
+    const places = width > 2 ? [`worst ${state.rows.group}`, ...tissues] : width > 1 ? tissues : ["all"];
     const order = parameters.map((_, k) => k).sort((p, q) => shares[p][0] - shares[q][0]);
     picture.setAttribute("aria-label", [...order].reverse().map((k) => `${parameters[k].head} ${(100 * shares[k][0]).toFixed(0)} %`).join(", "));
     return {

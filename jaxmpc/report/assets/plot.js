@@ -53,15 +53,19 @@ const drawn = new Map(); // element → { chart, draw }
 // An ECharts canvas in an element, drawn again where the size or the colours change.
 function surface(box, draw) {
   const chart = echarts.init(box, null, { renderer: "canvas" });
-  const entry = { chart, draw: () => chart.setOption(base(draw(ink())), { notMerge: true }) };
+  // The box, not the window: it also narrows when a view is put beside it.
+  const sizes = new ResizeObserver(() => chart.resize());
+  const entry = { chart, sizes, draw: () => chart.setOption(base(draw(ink())), { notMerge: true }) };
   drawn.set(box, entry);
   entry.draw();
+  sizes.observe(box);
   return entry;
 }
 
 function discard(holder) {
   for (const [box, entry] of drawn) {
     if (!holder.contains(box)) continue;
+    entry.sizes.disconnect();
     entry.chart.dispose();
     drawn.delete(box);
   }
@@ -69,7 +73,6 @@ function discard(holder) {
 }
 
 dark.addEventListener("change", () => drawn.forEach((entry) => entry.draw()));
-addEventListener("resize", () => drawn.forEach((entry) => entry.chart.resize()));
 
 function base(option) {
   return {

@@ -1,6 +1,6 @@
 // The Pareto front of any two or three goals, among the rows that the filters leave.
 
-const SHADES = 8, MANY = 4000;
+const SHADES = 8, MANY = 4000, CROWD = 300;
 
 function scatterView(state, box) {
   const able = state.rows.measures.filter((each) => each.role !== "other");
@@ -87,7 +87,8 @@ function scatterView(state, box) {
       series: [
         cloud("breaks a limit", broken, colors.dead, many ? "circle" : "path://M0,0L8,8M8,0L0,8", many ? {} : { itemStyle: { color: "none", borderColor: colors.dead, borderWidth: 1 } }),
         ...shades.map((data, k) => cloud(`shade ${k}`, data, z ? rgb(RAMP[Math.round((255 * (k + 0.5)) / SHADES)]) : colors.series[0], "circle")),
-        { type: two ? "line" : "scatter", step: "end", symbol: "circle", symbolSize: 8, silent: true, z: 4, data: ends.map(([a, b]) => [a, b]),
+        // Rings of a crowded front lie below its points, whose colour they would hide.
+        { type: two ? "line" : "scatter", step: "end", symbol: "circle", symbolSize: 8, silent: true, z: ends.length > CROWD ? 1 : 4, data: ends.map(([a, b]) => [a, b]),
           lineStyle: { color: colors.accent, width: 1.5 }, itemStyle: { color: "transparent", borderColor: colors.accent, borderWidth: 2 } },
         { type: "scatter", symbol: "diamond", symbolSize: 16, z: 5, silent: true, data: at >= 0 && fits(x[at], logs[0]) && fits(y[at], logs[1]) ? [[x[at], y[at]]] : [],
           itemStyle: { color: colors.bad, borderColor: colors.page, borderWidth: 1 } },
