@@ -14,6 +14,7 @@ import io
 import json
 import math
 import multiprocessing
+import os
 import sys
 import tempfile
 import time
@@ -259,6 +260,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--output", type=Path, required=True, help="a line of JSON a block; what is there is kept")
     args = parser.parse_args()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes: threads of numpy would only wait for each other
     until = time.monotonic() + 60.0 * args.minutes
     lines = args.output.read_text().splitlines() if args.output.exists() else []
     blocks = {block["first"]: block for block in map(json.loads, lines)}

@@ -10,6 +10,7 @@ import argparse
 import json
 import math
 import multiprocessing
+import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from itertools import product
@@ -92,6 +93,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1, help="processes that fly (1)")
     parser.add_argument("--output", type=Path, required=True, help="a line of JSON a flight; what is there is kept")
     args = parser.parse_args()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes: threads of numpy would only wait for each other
     lines = args.output.read_text().splitlines() if args.output.exists() else []
     rows = {row["number"]: row for row in map(json.loads, lines)}
     numbers = range(args.first, args.first + args.flights * args.step, args.step)

@@ -10,6 +10,7 @@ import argparse
 import json
 import math
 import multiprocessing
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -192,6 +193,7 @@ def main() -> int:
         "--minutes", type=float, default=math.inf, help="stop after so long; the same command goes on from there"
     )
     args = parser.parse_args()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes: threads of numpy would only wait for each other
     arm, until = load(args.artifact).arm, time.monotonic() + 60.0 * args.minutes
     assert arm is not None
     lines = args.output.read_text().splitlines() if args.output.exists() else []

@@ -9,7 +9,7 @@ gives friction c by itself. In the air, on the way down, dₐ = bₐ + c sₐ wi
 
     hidden = b − (dₐ − c sₐ)
 
-is left without friction and without gravity's error, to a tenth of either where the whole is uncertain by newtons.
+is left without friction and without gravity's error: half a newton wrong where a single moment's d is wrong by two.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ MEMORY = 1.0
 FILLED = 0.75
 """Share of the memory that must be filled before anything is told: 1.4 s of contact."""
 TURNING = 0.1
-"""Variance of s that tells friction from push [-]: 0.6 is a heart's, 0 a tissue at rest."""
+"""Variance of s that tells friction from push [-]: 0.3 is the least of a heart's rhythms, 0 a tissue's at rest."""
 
 
 class MotionSums(NamedTuple):

@@ -143,7 +143,9 @@ class Distortion:
     """Applies the faults of one sensor to its readings."""
 
     def __init__(self, target: str, faults: Sequence[Fault], random: np.random.Generator) -> None:
-        self._faults = [fault for fault in faults if fault.target == target and fault.word in _SENSOR]
+        mine = [fault for fault in faults if fault.target == target and fault.word in _SENSOR]
+        # A delay tells what was true before: it comes first, or it would undo the faults before it.
+        self._faults = sorted(mine, key=lambda fault: fault.word != "delayed")
         self._random, self._largest = random, _LARGEST["force" if target == "force" else "encoder"]
         self._kept: dict[Fault, tuple[float, ...]] = {}
         self._history: deque[tuple[float, ...]] = deque(maxlen=1 + max(map(_memory, self._faults), default=0))

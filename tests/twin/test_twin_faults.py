@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.puck import codec, messages
-from deploy.twin.faults import ENCODERS, WORDS, Fault, parse
+from deploy.twin.faults import ENCODERS, WORDS, Distortion, Fault, parse
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from jaxmpc.files.errors import InputError
@@ -323,3 +323,10 @@ def test_every_word_of_every_target_can_be_run(target):
             twin.advance()
         assert np.isfinite(twin.truth().q).all()
     assert len(ENCODERS) == 4
+
+
+@pytest.mark.parametrize("order", [("force:sign", "force:delayed=5"), ("force:delayed=5", "force:sign")])
+def test_a_delay_does_not_undo_another_fault_of_the_sensor(order):
+    distortion = Distortion("force", [parse(text) for text in order], np.random.default_rng(0))
+    read = [distortion.read(tick, (0.0, 0.0, float(tick))) for tick in range(30)]
+    assert [each[2] for each in read[5:]] == [-float(tick - 5) for tick in range(5, 30)]
