@@ -18,7 +18,9 @@ from scipy.stats import binomtest
 
 from jaxmpc import Experiment, Params, Status
 from jaxmpc.experiment.tables import Change
-from tuning.trials import LARGEST_ERROR, STIFFNESS, Job, Outcomes, run
+from tuning.trials import Job, Outcomes, run
+from tuning.trials.drawn import STIFFNESS
+from tuning.trials.outcomes import LARGEST_ERROR
 
 AT = 12.0
 """When the change begins [s]: a family has found the tissue, and learned what is usual on it."""
