@@ -31,7 +31,6 @@ COMMANDS = {
     "freeze": ["freeze", "text", "--experiment", "short.toml", "--max-ms", "9", "-o", "c.npz"],
     "check": ["check", "c.npz"],
     "sign": ["sign", "c.npz", "--key", "key"],
-    "doctor": ["doctor"],
     "sweep": ["sweep", "sweep.toml", "-o", "swept", "--quiet"],
     "sweep dry run": ["sweep", "sweep.toml", "-o", "another", "--dry-run"],
     "sweep best": ["sweep", "best", "swept", "--max-ms", "9"],
@@ -55,7 +54,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-QUICK = ("simulate", "freeze", "check", "sign", "doctor", "identify", "list")
+QUICK = ("simulate", "freeze", "check", "sign", "identify", "list")
 MARKED = [pytest.param(name, marks=pytest.mark.oracle if name in QUICK else pytest.mark.slow) for name in COMMANDS]
 
 

@@ -18,7 +18,7 @@ Finished = tuple[Path, Result]
 @pytest.mark.oracle
 def test_a_row_is_frozen_as_it_was_swept(finished: Finished, tmp_path: Path) -> None:
     folder, result = finished
-    place = int(np.flatnonzero(result.ok & (result.worst_M_s < 6.0))[0])
+    place = int(np.flatnonzero(result.ok & (result.worst("M_s") < 6.0))[0])
     row, path = int(result["row"][place]), tmp_path / "c.npz"
     assert main(["freeze", str(folder), "--row", str(row), "-o", str(path), "--max-ms", "6"]) == 0
     artifact, met = load(path), result.experiment(place)
