@@ -61,6 +61,6 @@ class Folded(io.TextIOBase):
         return self._stream.isatty()
 
     @property
-    def encoding(self) -> str:  # type: ignore[override]
+    def encoding(self) -> str:  # type: ignore[override]  # a plain attribute there
         """That of the terminal."""
         return self._stream.encoding
