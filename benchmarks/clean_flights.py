@@ -89,7 +89,12 @@ def main() -> int:
     parser.add_argument("artifact", type=Path)
     parser.add_argument("--flights", type=int, default=len(CASES))
     parser.add_argument("--first", type=int, default=0, help="number of the first (0)")
-    parser.add_argument("--step", type=int, default=1, help="fly each so many-th: 7 is a sample of all (1)")
+    parser.add_argument(
+        "--step",
+        type=int,
+        default=1,
+        help="fly each so many-th: 7 is a sample of all, an even one leaves the heavy arm out (1)",
+    )
     parser.add_argument("--jobs", type=int, default=1, help="processes that fly (1)")
     parser.add_argument("--output", type=Path, required=True, help="a line of JSON a flight; what is there is kept")
     args = parser.parse_args()

@@ -30,7 +30,7 @@ ASIDE = 9.0
 SAMPLES = 3
 """In a row."""
 HIDDEN = 1.2
-"""Push without friction that no healthy sensor hides [N]; seen: 0.3 N, and 0.7 N with twice the friction on an arm a
+"""Push without friction that no healthy sensor hides [N]; seen: 0.5 N, and 1.0 N with twice the friction on an arm a
 tenth heavier than its model."""
 
 
