@@ -29,19 +29,26 @@ class StoredChunks(NamedTuple):
     there: np.ndarray
     """Whether each planned row is there."""
 
+    def add(self, first: int, last: int, columns: Mapping[str, np.ndarray]) -> None:
+        """Take planned rows first … last − 1 in."""
+        for name, values in self.columns.items():
+            values[first:last] = columns[name]
+        self.there[first:last] = True
 
-def read_chunks(folder: Path, plan: Plan, *, mend: bool = False) -> StoredChunks:
+
+def read_chunks(folder: Path, plan: Plan, *, known: StoredChunks | None = None, mend: bool = False) -> StoredChunks:
     """Every intact row of this sweep; a damaged chunk is reported and counts as absent.
 
     Args:
         folder: The sweep's.
         plan: What is swept.
+        known: What is known already; only chunks with other rows are read, and added to it.
         mend: Whether to put damaged chunks out of the way, to be computed again.
     """
-    rows = len(plan.rows)
-    columns = {name: np.zeros((rows, *column.shape), column.dtype) for name, column in plan.layout.items()}
-    there = np.zeros(rows, bool)
+    found = _nothing(plan) if known is None else known
     for path in chunk_files(folder):
+        if (stretch := stretch_of(path.name)) and found.there[slice(*stretch)].all():
+            continue
         try:
             first, last, arrays = _read_chunk(path, plan)
         except FileNotFoundError:
@@ -51,10 +58,14 @@ def read_chunks(folder: Path, plan: Plan, *, mend: bool = False) -> StoredChunks
             if mend:
                 os.replace(path, path.with_name(path.name + DAMAGED))
             continue
-        for name, values in arrays.items():
-            columns[name][first:last] = values
-        there[first:last] = True
-    return StoredChunks(columns, there)
+        found.add(first, last, arrays)
+    return found
+
+
+def _nothing(plan: Plan) -> StoredChunks:
+    rows = len(plan.rows)
+    columns = {name: np.zeros((rows, *column.shape), column.dtype) for name, column in plan.layout.items()}
+    return StoredChunks(columns, np.zeros(rows, bool))
 
 
 def chunk_files(folder: Path) -> list[Path]:

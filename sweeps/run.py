@@ -11,11 +11,12 @@ from jaxmpc.status import Status
 from jaxmpc.terminal.progress import Tick
 from jaxmpc.terminal.progress import progress as progress_of
 from sweeps import chunks, store
+from sweeps.chunks import StoredChunks
 from sweeps.compute import baseline, round_of
 from sweeps.crew import Alone, ComputedChunk, Crew
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.interrupt import gently
-from sweeps.judged import baseline_of, keeps, worst
+from sweeps.judged import Point, baseline_of, keeps, worst
 from sweeps.leases import SILENCE, Leases
 from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan, check_chunk, make_plan
@@ -73,32 +74,35 @@ def run(
     if chunk is not None:
         check_chunk(plan, chunk)
     store.prepare(folder, plan)
-    there = chunks.read_chunks(folder, plan, mend=True).there
+    found = chunks.read_chunks(folder, plan, mend=True)
     leases = Leases(folder, silence)
     try:
         if retry:
             leases.retry()
-        share = Share(folder, plan, there, leases, part)
-        with progress_of("sweep", len(there), enabled=progress) as tick, gently(gentle) as stop:
+        share = Share(folder, plan, found.there, leases, part)
+        with progress_of("sweep", len(found.there), enabled=progress) as tick, gently(gentle) as stop:
             count = _Count(tick, plan.goal, share)
             pace = Pace(chunk, round_of(plan), plan.largest_chunk)
             makers = crew(count.add)
             try:
                 for piece in makers.work(plan, share, leases, pace, stop):
-                    _keep(folder, plan, piece, share, leases, stopping=spec.on_error == "stop")
+                    _keep(folder, plan, piece, found, share, leases, stopping=spec.on_error == "stop")
             finally:
                 makers.close()
     finally:
         leases.close()
     if paced is not None:
         paced(plan, pace)
-    columns, there = chunks.read_chunks(folder, plan)
+    # What this process has written it need not read.
+    columns, there = chunks.read_chunks(folder, plan, known=found)
     if not there.all():
         return Result(plan, {name: values[there] for name, values in columns.items()})
-    return _finished(folder, Result(plan, columns))
+    return _finished(folder, plan, columns)
 
 
-def _keep(folder: Path, plan: Plan, piece: ComputedChunk, share: Share, leases: Leases, *, stopping: bool) -> None:
+def _keep(
+    folder: Path, plan: Plan, piece: ComputedChunk, found: StoredChunks, share: Share, leases: Leases, *, stopping: bool
+) -> None:
     """Write what was computed, or set aside what could not be; give the lease back."""
     first = piece.stretch[0]
     try:
@@ -111,24 +115,31 @@ def _keep(folder: Path, plan: Plan, piece: ComputedChunk, share: Share, leases: 
             if piece.environment:
                 store.prepare(folder, plan, [piece.environment])
             chunks.write_chunk(folder, plan, first, piece.last, piece.columns)
+            found.add(first, piece.last, piece.columns)
             share.done((first, piece.last))
     finally:
         share.give_back(piece.stretch)
 
 
-def _finished(folder: Path, result: Result) -> Result:
+def _finished(folder: Path, plan: Plan, columns: Columns) -> Result:
     """The result with its baseline; its summary is written unless it is there."""
     summary = store.read_summary(folder)
+    point = baseline_of(summary) or _baseline(plan)
+    result = Result(plan, columns, point)
     if summary.get("result_hash") != result.hash:
-        outcome = baseline(result.plan)
-        ok = (np.asarray(outcome.status) == Status.OK).all()
-        found = [float(np.max(outcome.metrics.rms)), float(np.max(outcome.margins.M_s))] if ok else [math.inf] * 2
         # JSON has no infinity: an unstable baseline is null.
-        point = [value if math.isfinite(value) else None for value in found]
+        written = [value if math.isfinite(value) else None for value in point]
         counts = result.status_counts()
-        summary = {"result_hash": result.hash, "rows": len(result), "status": counts, "baseline": point}
+        summary = {"result_hash": result.hash, "rows": len(result), "status": counts, "baseline": written}
         store.write_summary(folder, summary)
-    return Result(result.plan, result.columns, baseline_of(summary))
+    return result
+
+
+def _baseline(plan: Plan) -> Point:
+    outcome = baseline(plan)
+    if not (np.asarray(outcome.status) == Status.OK).all():
+        return Point(math.inf, math.inf)
+    return Point(float(np.max(outcome.metrics.rms)), float(np.max(outcome.margins.M_s)))
 
 
 class _Count:

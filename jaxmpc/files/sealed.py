@@ -47,8 +47,12 @@ def seal(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> bytes:
     text = np.frombuffer(canonical_json(header).encode(), np.uint8)
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, header=text, **{k: np.asarray(arrays[k], order="C") for k in sorted(arrays)})
-    body = buffer.getvalue()
-    return body + hashlib.sha256(body).digest()
+    # In place: a chunk of a sweep is tens of megabytes, and a copy takes as long as its hash.
+    with buffer.getbuffer() as body:
+        found = hashlib.sha256(body).digest()
+    buffer.seek(0, io.SEEK_END)
+    buffer.write(found)
+    return buffer.getvalue()
 
 
 def unseal(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -16,6 +16,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import jax
 import msgspec
@@ -31,7 +32,7 @@ from jaxmpc.synthesis.params import Params
 from sweeps import chunks as stored
 from sweeps import store
 from sweeps.compute import compute
-from sweeps.plan import make_plan
+from sweeps.plan import Plan, make_plan
 from sweeps.result import Result
 from sweeps.run import run
 from sweeps.spec import SweepSpec
@@ -141,6 +142,20 @@ def test_a_finished_sweep_is_left_alone(copy: Path, spec: SweepSpec, finished: F
     assert run(spec, copy, chunk=50).hash == finished[1].hash
     assert chunks(copy) == before
     assert (copy / "result.json").stat().st_mtime_ns == summary
+
+
+def test_what_a_process_has_written_it_neither_reads_nor_hashes_again(
+    copy: Path, spec: SweepSpec, finished: Finished, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("000000032-000000064.npz", "000000064-000000096.npz"):
+        (copy / "chunks" / name).unlink()
+    (copy / "result.json").unlink()
+    read, hash_of = Mock(wraps=stored._read_chunk), Mock(side_effect=make_plan(spec).hash_of)
+    monkeypatch.setattr(stored, "_read_chunk", read)
+    monkeypatch.setattr(Plan, "hash_of", hash_of)
+    assert run(spec, copy, chunk=32).hash == finished[1].hash
+    assert read.call_count == len(chunks(copy)) - 2
+    assert hash_of.call_count == 1
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "other"])
