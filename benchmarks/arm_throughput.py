@@ -82,7 +82,7 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
     from jaxmpc.closed_loops import close_loops
     from jaxmpc.engine.registry import choose
     from jaxmpc.engine.scenario import program_spec, scenario_data
-    from jaxmpc.xla.blocks import over_blocks
+    from jaxmpc.xla.blocks import OverBlocks
 
     rows = size * jax.local_device_count()
     scene, world = scenario_data(experiment), program_spec(experiment)
@@ -94,7 +94,7 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
 
     batch = jax.tree.map(np.asarray, jax.jit(apart)(params))
 
-    engine = over_blocks(lambda b, s: choose(world).simulate(world, *b, s, dtype).metrics.rms, size)
+    engine = OverBlocks(lambda b, s: choose(world).simulate(world, *b, s, dtype).metrics.rms, size)
     began = time.perf_counter()
     engine(batch, scene)
     compiled = time.perf_counter() - began

@@ -51,7 +51,7 @@ def main() -> None:
     from jaxmpc.closed_loops import close_loops, evaluate_block
     from jaxmpc.engine.base import scalars
     from jaxmpc.engine.scenario import program_spec, scenario_data
-    from jaxmpc.xla.blocks import over_blocks
+    from jaxmpc.xla.blocks import OverBlocks
 
     experiment = Experiment.published("table-1")
     scene, world = scenario_data(experiment), program_spec(experiment)
@@ -79,13 +79,13 @@ def main() -> None:
         f"same results in float64: numpy loop, all metrics, to {off:.0e}; dlsim, without quantiser, to {abs(lone):.0e}"
     )
 
-    engine = over_blocks(lambda p, s: evaluate_block(p, s, world=world, dtype="float32"))
+    engine = OverBlocks(lambda p, s: evaluate_block(p, s, world=world, dtype="float32"))
     began = time.perf_counter()
     engine(batch, scene)
     compiled = time.perf_counter() - began
     ours = rows * cells * experiment.steps / fastest(lambda: engine(batch, scene))
     line(f"sweep engine: design, margins, float32 loop ({compiled:.0f} s first)", ours)
-    loop_only = over_blocks(lambda p, s: evaluate_block(p, s, world=world, dtype="float32").metrics)
+    loop_only = OverBlocks(lambda p, s: evaluate_block(p, s, world=world, dtype="float32").metrics)
     loop_only(batch, scene)
     bare = rows * cells * experiment.steps / fastest(lambda: loop_only(batch, scene))
     line("  its loop alone (what the peers do)", bare)

@@ -152,10 +152,10 @@ class DaskCrew(Crew):
             columns, environment, rows, seconds = future.result()
         # Of any type: whatever is wrong with these rows, the others are still wanted.
         except Exception as reason:
-            return ComputedChunk(stretch, stretch[0], None, f"{type(reason).__name__}: {reason}")
+            return ComputedChunk(stretch, *stretch, None, f"{type(reason).__name__}: {reason}")
         pace.tell(rows, seconds)
         self._told(columns)
-        return ComputedChunk(stretch, stretch[1], columns, environment=environment)
+        return ComputedChunk(stretch, *stretch, columns, environment=environment)
 
 
 def check_installed() -> None:

@@ -1,6 +1,7 @@
 """Rows of a sweep, computed by a pure function of what can be pickled: any process on any machine may be asked.
 
     compute(plan, first, last) → columns of the planned rows first … last − 1
+    begin(plan, first, last)() → the same, in two steps: devices work while the process does something else
 
 No bit of a row depends on which others are asked for: every row runs in a block whose size follows from the spec
 (`block_of`), and blocks are calls of one program. Two ways, of which the spec alone decides:
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxmpc.closed_loops import Outcome, evaluate_block
@@ -27,10 +29,13 @@ from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.build import robot_of
 from jaxmpc.synthesis.params import Params
-from jaxmpc.xla.blocks import BLOCK, over_blocks
+from jaxmpc.xla.blocks import BLOCK, OverBlocks
 from sweeps.blocks import block_of, in_pairs, shares_signals
 from sweeps.plan import Columns, Plan
 from sweeps.rows import Meeting, experiment_of, meetings, world_of
+
+PendingOutcome = Callable[[], Outcome]
+"""Waits for the devices."""
 
 
 def compute(plan: Plan, first: int, last: int) -> Columns:
@@ -44,20 +49,31 @@ def compute(plan: Plan, first: int, last: int) -> Columns:
     Raises:
         InputError: A row's world is none: its values do not go together.
     """
+    return begin(plan, first, last)()
+
+
+def begin(plan: Plan, first: int, last: int) -> Callable[[], Columns]:
+    """Have the devices begin with rows; what is returned waits for them. See `compute`."""
     site = _site(plan.spec_hash, plan)
     rows = site.plan.rows[first:last]
     swept = {name: entries[first:last] for name, entries in site.swept.items()}
-    layout = site.plan.layout
-    found = {name: np.zeros((len(rows), *column.shape), column.dtype) for name, column in layout.items()}
-    found |= {"row": rows, **swept}
-    for meeting in meetings(site.plan.base, site.plan.space.axes, swept, by_world=not in_pairs(plan)):
-        for places, outcome in site.outcomes(meeting):
+    met = meetings(site.plan.base, site.plan.space.axes, swept, by_world=not in_pairs(plan))
+    begun = [part for meeting in met for part in site.outcomes(meeting)]
+
+    def finish() -> Columns:
+        layout = site.plan.layout
+        found = {name: np.zeros((len(rows), *column.shape), column.dtype) for name, column in layout.items()}
+        found |= {"row": rows, **swept}
+        for places, outcome_of in begun:
+            outcome = outcome_of()
             measured = outcome.metrics._asdict() | outcome.margins._asdict()
             found["status"][places] = outcome.status
             for name in site.plan.kept:
                 # One NaN, whatever sign and payload the processor made.
                 found[name][places] = np.where(np.isnan(measured[name]), np.nan, measured[name])
-    return {name: np.asarray(found[name], column.dtype) for name, column in layout.items()}
+        return {name: np.asarray(found[name], column.dtype) for name, column in layout.items()}
+
+    return finish
 
 
 def round_of(plan: Plan) -> int:
@@ -72,7 +88,7 @@ def baseline(plan: Plan) -> Outcome:
     batch = plan.base.with_columns({"K2": plan.base.K2[None]})
     # The rows' own program, where they have one of its kind: compiling another takes longer than filling a block.
     block = BLOCK if in_pairs(plan) else block_of(plan)
-    return _run(partial(_program, block=block), experiment, plan, batch)
+    return _begun(partial(_program, block=block), experiment, plan, batch)()
 
 
 class _Site:
@@ -97,12 +113,12 @@ class _Site:
         data = world_of(self._base, self.plan.space.axes, entries)
         return self.plan.with_files(data, self._folder)
 
-    def outcomes(self, meeting: Meeting) -> list[tuple[np.ndarray, Outcome]]:
-        """Places of rows, and what they came to."""
+    def outcomes(self, meeting: Meeting) -> list[tuple[np.ndarray, PendingOutcome]]:
+        """Places of rows, and what they are coming to."""
         if not in_pairs(self.plan):
             experiment = self._experiments(tuple(meeting.worlds[0].tolist()))
             run = partial(_program, block=block_of(self.plan))
-            return [(meeting.places, _run(run, experiment, self.plan, meeting.params))]
+            return [(meeting.places, _begun(run, experiment, self.plan, meeting.params))]
         scenes: dict[Any, list[tuple[int, ScenarioData]]] = {}
         for i, entries in enumerate(meeting.worlds.tolist()):
             experiment = self._experiments(tuple(entries))
@@ -125,15 +141,14 @@ class _Site:
         stiffness, lsb = np.asarray(experiment.stiffness), np.asarray(experiment.sensor.lsb)
         return ScenarioData(stiffness, self._signals, lsb, experiment.force_limit, robot, experiment.loop_path())
 
-    def _paired(self, world: ProgramSpec, batch: Params, scenes: list[ScenarioData]) -> Outcome:
+    def _paired(self, world: ProgramSpec, batch: Params, scenes: list[ScenarioData]) -> PendingOutcome:
         shared = shares_signals(self.plan)
         nothing: Any = None
         apart = [scene._replace(signals=nothing) if shared else scene for scene in scenes]
         stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *apart)
         program = _pairs(world, self.plan.canonical["precision"], block_of(self.plan))
         with jax.enable_x64(True):
-            outcome: Outcome = program((batch, stacked), scenes[0].signals if shared else None)
-        return outcome
+            return program.begin((batch, stacked), scenes[0].signals if shared else None)
 
 
 _sites: dict[str, _Site] = {}
@@ -147,26 +162,28 @@ def _site(spec_hash: str, plan: Plan) -> _Site:
     return _sites[spec_hash]
 
 
-def _run(program: Callable[..., Any], experiment: Experiment, plan: Plan, batch: Params) -> Outcome:
+def _begun(program: Callable[..., OverBlocks], experiment: Experiment, plan: Plan, batch: Params) -> PendingOutcome:
     with jax.enable_x64(True):
         run = program(program_spec(experiment), plan.canonical["precision"])
-        outcome: Outcome = run(batch, _scenario(experiment))
-    return outcome
+        return run.begin(batch, _scenario(experiment))
 
 
 @lru_cache(maxsize=8)
 def _scenario(experiment: Experiment) -> ScenarioData:
     # The filter behind it would slow the linear loop down, which swings only where it is unstable.
-    return scenario_data(experiment, swinging=experiment.physics != "linear")
+    found = scenario_data(experiment, swinging=experiment.physics != "linear")
+    # On the device, once for all rounds.
+    on_device: ScenarioData = jax.tree.map(jnp.asarray, found)
+    return on_device
 
 
 @lru_cache(maxsize=8)
-def _program(world: ProgramSpec, precision: str, block: int) -> Callable[[Any, Any], Any]:
-    return over_blocks(partial(evaluate_block, world=fastest(world), dtype=precision), block)
+def _program(world: ProgramSpec, precision: str, block: int) -> OverBlocks:
+    return OverBlocks(partial(evaluate_block, world=fastest(world), dtype=precision), block)
 
 
 @lru_cache(maxsize=8)
-def _pairs(world: ProgramSpec, precision: str, block: int) -> Callable[[Any, Any], Any]:
+def _pairs(world: ProgramSpec, precision: str, block: int) -> OverBlocks:
     def block_of_pairs(batch: Any, shared: Any) -> Outcome:
         def one(params: Params, scene: ScenarioData) -> Outcome:
             met = scene if shared is None else scene._replace(signals=shared)
@@ -178,4 +195,4 @@ def _pairs(world: ProgramSpec, precision: str, block: int) -> Callable[[Any, Any
         found: Outcome = jax.vmap(one)(*batch)
         return found
 
-    return over_blocks(block_of_pairs, block)
+    return OverBlocks(block_of_pairs, block)

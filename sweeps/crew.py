@@ -2,32 +2,43 @@
 
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from sweeps.blocks import padded
-from sweeps.compute import compute, round_of
+from sweeps.compute import begin, round_of
 from sweeps.leases import Leases, Stretch
 from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan
 from sweeps.share import Share
 
+AHEAD = 2
+"""Rounds that are begun before the first of them is fetched."""
 Stop = Callable[[], bool]
 
 
+class RowsFailedError(RuntimeError):
+    """Rows could not be computed; the message says why."""
+
+
 class ComputedChunk(NamedTuple):
-    """What was made of a stretch."""
+    """What was made of a stretch, or of a part of it that fills a file."""
 
     stretch: Stretch
     """As it was taken."""
+    first: int
+    """Place of the first row."""
     last: int
-    """Place behind the last row that was computed: before its end where somebody wanted to stop."""
+    """Place behind the last row that was computed: before the end of the stretch where somebody wanted to stop."""
     columns: Columns | None
-    """None where nothing could be computed."""
+    """None where nothing could be computed, from the first row to the end of the stretch."""
     error: str = ""
     """Why not."""
     environment: Mapping[str, str] | None = None
     """Where, if that is not this process."""
+    ends: bool = True
+    """Whether nothing more comes of the stretch."""
 
 
 class Crew(ABC):
@@ -61,35 +72,66 @@ class Alone(Crew):
 
     def work(self, plan: Plan, share: Share, leases: Leases, pace: Pace, stop: Stop) -> Iterator[ComputedChunk]:
         """See `Crew.work`."""
+        while not stop():
+            stretch = share.next(pace.stretch)
+            if stretch is not None:
+                yield from self._made(plan, stretch, leases, pace, stop)
+            elif share.finished():
+                return
+            else:
+                share.wait(stop)
+
+    def _made(self, plan: Plan, stretch: Stretch, leases: Leases, pace: Pace, stop: Stop) -> Iterator[ComputedChunk]:
+        """Files of a stretch, one after another."""
         import jax
         import numpy as np
 
-        width, devices = round_of(plan), jax.local_device_count()
-        while not stop():
-            stretch = share.next(pace.length)
-            if stretch is None:
-                if share.finished():
-                    return
-                share.wait(stop)
-                continue
-            parts: list[Columns] = []
-            begin, (_, last) = stretch[0], stretch
-            error = ""
-            while begin < last and not (parts and stop()):
-                end, began = min(begin + width, last), time.perf_counter()
-                try:
-                    parts.append(compute(plan, begin, end))
-                # Of any type: whatever is wrong with these rows, the others are still wanted.
-                except Exception as reason:
-                    error = f"{type(reason).__name__}: {reason}"
-                    break
-                pace.tell(padded(plan, devices, begin, end), time.perf_counter() - began)
+        devices, length = jax.local_device_count(), pace.length
+        parts: list[Columns] = []
+        first = done = stretch[0]
+        began = time.perf_counter()
+
+        def chunk(ends: bool) -> ComputedChunk:
+            columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+            return ComputedChunk(stretch, first, done, columns, ends=ends)
+
+        try:
+            for end, columns in _rounds(plan, stretch, stop):
+                now = time.perf_counter()
+                pace.tell(padded(plan, devices, done, end), now - began)
+                done, began = end, now
                 leases.warm = True
-                self._told(parts[-1])
-                begin = end
-            if error:
-                yield ComputedChunk(stretch, stretch[0], None, error)
+                self._told(columns)
+                parts.append(columns)
+                if done - first >= length and done < stretch[1]:
+                    # There is more: one round is always ahead, even where somebody wants to stop.
+                    yield chunk(ends=False)
+                    first, parts = done, []
+        except RowsFailedError as error:
+            yield ComputedChunk(stretch, first, stretch[1], None, f"{error}")
+            return
+        yield chunk(ends=True)
+
+
+def _rounds(plan: Plan, stretch: Stretch, stop: Stop) -> Iterator[tuple[int, Columns]]:
+    """Rounds of a stretch: the place behind each, and its columns. Devices work on one ahead of what is asked for.
+
+    Raises:
+        RowsFailedError: The message says of what.
+    """
+    width, (first, last) = round_of(plan), stretch
+    begun: deque[tuple[int, Callable[[], Columns]]] = deque()
+    try:
+        while begun or first < last:
+            if first < last and len(begun) < AHEAD:
+                end = min(first + width, last)
+                begun.append((end, begin(plan, first, end)))
+                first = end
                 continue
-            yield ComputedChunk(
-                stretch, begin, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-            )
+            end, finish = begun.popleft()
+            yield end, finish()
+            if stop():
+                last = first
+    # Of any type: whatever is wrong with these rows, the others are still wanted.
+    except Exception as reason:
+        raise RowsFailedError(f"{type(reason).__name__}: {reason}") from reason

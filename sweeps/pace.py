@@ -1,7 +1,7 @@
-"""How many rows make a chunk: as many as take a few seconds, as measured on the way."""
+"""How many rows are taken at once: as many as take a few seconds, as measured on the way; and how many a file holds."""
 
 CHUNK_SECONDS = 5.0
-"""Work that a chunk file holds [s]: what a kill can cost."""
+"""Work that is taken at once, one chunk file or several [s]: what a kill can cost."""
 
 
 class Pace:
@@ -16,7 +16,8 @@ class Pace:
     def __init__(self, fixed: int | None, width: int, most: int) -> None:
         # Whole rounds: what a chunk has beyond them is computed and thrown away.
         self._fixed, self._width, self._most = fixed, width, most // width * width or most
-        self.length = fixed or min(width, most)
+        self.length = self.stretch = fixed or min(width, most)
+        """Rows of a chunk file, and of what is taken at once."""
         self.first_s = self.seconds = 0.0
         self.rounds = self.rows = 0
         """Rounds so far, and the padded rows of all but the first, which may have compiled."""
@@ -29,5 +30,7 @@ class Pace:
             return
         self.rows, self.seconds = self.rows + padded_rows, self.seconds + seconds
         if self._fixed is None and self.seconds > 0.0:
-            wanted = int(CHUNK_SECONDS * self.rows / self.seconds) // self._width * self._width
-            self.length = min(max(wanted, self._width), self._most)
+            wanted = max(int(CHUNK_SECONDS * self.rows / self.seconds) // self._width, 1) * self._width
+            self.length = min(wanted, self._most)
+            # Files that are no whole rounds stand alone.
+            self.stretch = self.length if self.length % self._width else wanted // self.length * self.length

@@ -35,11 +35,13 @@ def meetings(
     """
     apart = [axis.name for axis in axes if axis.name in STRUCTURAL or (by_world and axis.of_world)]
     count = len(next(iter(columns.values())))
-    keys = np.stack([columns[name] for name in apart], axis=1) if apart else np.zeros((count, 1))
-    found, which = np.unique(keys, axis=0, return_inverse=True)
+    groups = [np.arange(count)]
+    if apart:
+        keys = np.stack([columns[name] for name in apart], axis=1)
+        found, which = np.unique(keys, axis=0, return_inverse=True)
+        groups = [np.flatnonzero(which.ravel() == i) for i in range(len(found))]
     of_world = [axis.name for axis in axes if axis.of_world]
-    for i in range(len(found)):
-        places = np.flatnonzero(which.ravel() == i)
+    for places in groups:
         own = {name: values[places] for name, values in columns.items()}
         structure = {
             axis.name: axis.setting(float(own[axis.name][0]), getattr(base, axis.name))

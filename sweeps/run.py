@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ from sweeps.plan import Columns, Plan, check_chunk, make_plan
 from sweeps.result import Result
 from sweeps.share import Share
 from sweeps.spec import SweepSpec
+from sweeps.tables import OnError
+from sweeps.writer import Writer
 
 MakeCrew = Callable[[Callable[[Columns], None]], Crew]
 """Makes whoever computes, of what wants to see the columns of each round."""
@@ -85,8 +88,12 @@ def run(
             pace = Pace(chunk, round_of(plan), plan.largest_chunk)
             makers = crew(count.add)
             try:
-                for piece in makers.work(plan, share, leases, pace, stop):
-                    _keep(folder, plan, piece, found, share, leases, stopping=spec.on_error == "stop")
+                with Writer() as writer:
+                    for piece in makers.work(plan, share, leases, pace, lambda: stop() or writer.failed):
+                        writer.begin(partial(_keep, folder, plan, piece, found, share, leases, spec.on_error))
+                        if piece.ends:
+                            # No other is begun before: who is killed loses one stretch.
+                            writer.settle()
             finally:
                 makers.close()
     finally:
@@ -101,24 +108,32 @@ def run(
 
 
 def _keep(
-    folder: Path, plan: Plan, piece: ComputedChunk, found: StoredChunks, share: Share, leases: Leases, *, stopping: bool
+    folder: Path,
+    plan: Plan,
+    piece: ComputedChunk,
+    found: StoredChunks,
+    share: Share,
+    leases: Leases,
+    on_error: OnError,
 ) -> None:
     """Write what was computed, or set aside what could not be; give the lease back."""
-    first = piece.stretch[0]
+    done = False
     try:
         if piece.columns is None:
-            if stopping:
-                numbers = f"{plan.rows[first]} … {plan.rows[piece.stretch[1] - 1]}"
+            if on_error == "stop":
+                numbers = f"{plan.rows[piece.first]} … {plan.rows[piece.last - 1]}"
                 raise SweepStoppedError(f"rows {numbers} could not be computed: {piece.error}")
-            leases.set_aside(piece.stretch, piece.error)
+            leases.set_aside((piece.first, piece.last), piece.error)
         else:
             if piece.environment:
                 store.prepare(folder, plan, [piece.environment])
-            chunks.write_chunk(folder, plan, first, piece.last, piece.columns)
-            found.add(first, piece.last, piece.columns)
-            share.done((first, piece.last))
+            chunks.write_chunk(folder, plan, piece.first, piece.last, piece.columns)
+            found.add(piece.first, piece.last, piece.columns)
+            share.done((piece.first, piece.last))
+        done = True
     finally:
-        share.give_back(piece.stretch)
+        if piece.ends or not done:
+            share.give_back(piece.stretch)
 
 
 def _finished(folder: Path, plan: Plan, columns: Columns) -> Result:

@@ -25,34 +25,32 @@ def rows_of_a_block() -> int:
     return BLOCK if jax.default_backend() == "cpu" else GPU_BLOCK
 
 
-def over_blocks(function: Callable[..., Any], block: int = BLOCK) -> Callable[..., Any]:
+class OverBlocks:
     """A compiled version of f(batch, shared) that works block by block, dealt out to all local devices.
 
-    Args:
-        function: Takes a batch with leading dimension `block`, and what all blocks share; traceable.
-        block: Rows of one block.
-
-    Returns:
-        A function of the same arguments for any number of rows; the last block is padded with copies of
-        the last row. One compilation per number of blocks.
+    It takes any number of rows; the last block is padded with copies of the last row. One compilation per number of
+    blocks.
     """
 
-    def over(blocks: Any, shared: Any) -> Any:
-        return jax.lax.map(lambda one: function(one, shared), blocks)
+    def __init__(self, function: Callable[..., Any], block: int = BLOCK) -> None:
+        """Wrap a traceable function of a batch with leading dimension `block`, and of what all blocks share."""
 
-    def deal(leaf: Any) -> Any:
-        leaf = np.asarray(leaf)
-        return leaf.reshape(-1, block, *leaf.shape[1:])
+        def over(blocks: Any, shared: Any) -> Any:
+            return jax.lax.map(lambda one: function(one, shared), blocks)
 
-    dealt = OverDevices(over)
+        self._block, self._dealt = block, OverDevices(over)
 
-    def run(batch: Any, shared: Any) -> Any:
+    def begin(self, batch: Any, shared: Any) -> Callable[[], Any]:
+        """Have the devices begin; what is returned waits for them, and gives the result as numpy."""
         rows = len(jax.tree.leaves(batch)[0])
-        whole = padded(batch, block * jax.local_device_count())
-        done = dealt(jax.tree.map(deal, whole), shared)
-        return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *leaf.shape[2:])[:rows], done)
+        whole = padded(batch, self._block * jax.local_device_count())
+        blocks = jax.tree.map(lambda leaf: leaf.reshape(-1, self._block, *leaf.shape[1:]), whole)
+        found = self._dealt.begin(blocks, shared)
+        return lambda: jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:rows], found())
 
-    return run
+    def __call__(self, batch: Any, shared: Any) -> Any:
+        """What the function returns for every row, as numpy."""
+        return self.begin(batch, shared)()
 
 
 class OverDevices:
@@ -72,11 +70,15 @@ class OverDevices:
             jax.shard_map(function, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False)
         )
 
-    def __call__(self, batch: Any, shared: Any) -> Any:
-        """What the function returns for every row, as numpy."""
+    def begin(self, batch: Any, shared: Any) -> Callable[[], Any]:
+        """Have the devices begin; what is returned waits for them, and gives the result as numpy."""
         rows = len(jax.tree.leaves(batch)[0])
         found = self._dealt(padded(batch, self._devices), jax.tree.map(jnp.asarray, shared))
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[:rows], found)
+        return lambda: jax.tree.map(lambda leaf: np.asarray(leaf)[:rows], found)
+
+    def __call__(self, batch: Any, shared: Any) -> Any:
+        """What the function returns for every row, as numpy."""
+        return self.begin(batch, shared)()
 
     @property
     def programs(self) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sweeps.chunks import chunk_files, chunk_name, read_chunks
-from sweeps.compute import compute
+from sweeps.compute import begin
 from sweeps.leases import MOST_DEATHS, Leases, given_up
 from sweeps.plan import make_plan
 from sweeps.result import Result
@@ -112,27 +112,33 @@ def test_work_is_shared_without_gaps_or_overlap(spec: SweepSpec, leases: Make, t
     assert {stretch[0] for stretch in taken[:2]} == {0, len(plan.rows) // 2}
 
 
-def failing(at: int) -> Any:
+def failing(at: int, fetched: bool) -> Any:
+    """`begin` that raises, or whose result cannot be fetched."""
+
+    def raising() -> Any:
+        raise ArithmeticError("a gain of 0/0")
+
     def wrong(plan: Any, first: int, last: int) -> Any:
         if first <= at < last:
-            raise ArithmeticError("a gain of 0/0")
-        return compute(plan, first, last)
+            return raising if fetched else raising()
+        return begin(plan, first, last)
 
     return wrong
 
 
+@pytest.mark.parametrize("fetched", [False, True])
 def test_a_chunk_that_fails_is_set_aside_and_can_be_tried_again(
-    spec: SweepSpec, finished: tuple[Path, Result], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    fetched: bool, spec: SweepSpec, finished: tuple[Path, Result], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("sweeps.crew.compute", failing(40))
+        patch.setattr("sweeps.crew.begin", failing(40, fetched))
         part = run(spec, tmp_path / "run", chunk=32)
         assert (len(part), part.complete) == (120 - 32, False)
         ((stretch, reason),) = given_up(tmp_path / "run").items()
         assert (stretch, reason) == ((32, 64), "ArithmeticError: a gain of 0/0")
         patch.undo()
         assert not run(spec, tmp_path / "run").complete
-        patch.setattr("sweeps.crew.compute", failing(40))
+        patch.setattr("sweeps.crew.begin", failing(40, fetched))
         with pytest.raises(SweepStoppedError, match=r"rows .* could not be computed: ArithmeticError"):
             run(SweepSpec(**{**vars(spec), "on_error": "stop"}), tmp_path / "run", chunk=32, retry=True)
     # What stopped it has set nothing aside.

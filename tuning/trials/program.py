@@ -18,7 +18,7 @@ from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.world.robot import Robot
-from jaxmpc.xla.blocks import over_blocks
+from jaxmpc.xla.blocks import OverBlocks
 
 AT_A_TIME = 12
 """Motions that run at a time on a core: with the trials on each, the lanes stay in the cache (measured)."""
@@ -101,6 +101,6 @@ def wave_program(
         return status, when, radii, ran.backed_off.T, *map(per_trial, told)
 
     if jax.default_backend() == "cpu":
-        dealt = over_blocks(run, min(AT_A_TIME, motions))
+        dealt = OverBlocks(run, min(AT_A_TIME, motions))
         return lambda met, shared: dealt(jax.tree.map(lambda *parts: np.concatenate(parts), *met), shared)
     return jax.jit(lambda met, shared: run(jax.tree.map(lambda *parts: jnp.concatenate(parts), *met), shared))
