@@ -6,7 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from deploy.loop.loop import LETTING_GO, LINGER
+from deploy.loop import loop
+from deploy.loop.control import Contacting
+from deploy.loop.loop import LETTING_GO
 from deploy.loop.operator import Operator
 from deploy.safety.machine import IDLE_PATIENCE, OperatingState
 from deploy.safety.reasons import Reason
@@ -18,10 +20,14 @@ from tests.deploy.made import arm_artifact
 
 SOON = 1.0
 """Within which a reason is named [s]; the arm is then let go at once, or held or withdrawn for its known time."""
-WITHDRAWN = 2 * 0.03 / 0.05
+CONTACTING = Contacting(retract_distance=0.01)
+WITHDRAWN = 2 * CONTACTING.retract_distance / CONTACTING.retract_speed
 """Longest retraction [s]."""
-WAITS = 0.2
+WAITS = 0.06
 """Time in IDLE before the operator arms [s]."""
+HELD = 0.1
+"""Time for which a run that is over holds the arm here [s], longer than positions may be old."""
+frozen = cache(arm_artifact)
 HAZARDS = (
     *("pendant:e-stop", "pendant:idle"),
     *("puck2:fault", "puck3:mute", "puck4:off", "puck1:reset", "bus:off", "bus:babble=8000"),
@@ -45,14 +51,19 @@ class Watchdog:
         return self.there
 
 
-def fly(hazard="", at=None, signals=0, first="", duration=0.3):
+@pytest.fixture(autouse=True)
+def hold_briefly(monkeypatch):
+    monkeypatch.setattr(loop, "LINGER", HELD)
+
+
+def fly(hazard="", at=None, signals=0, first="", duration=0.1):
     """A short run with a hazard and so many signals from a time on; what it was, cycle by cycle."""
     target, _, word = hazard.partition(":")
     ours = target in ("watchdog", "clock")
-    faults = tuple(f"{each}@{when}" for each, when in ((first, at and at - 0.1), ("" if ours else hazard, at)) if each)
-    twin = Twin(twin_settings(gap=0.001, rhythm="none", faults=faults))
+    faults = tuple(f"{each}@{when}" for each, when in ((first, at and at - 0.02), ("" if ours else hazard, at)) if each)
+    twin = Twin(twin_settings(gap=0.0003, rhythm="none", faults=faults))
     clock, watchdog, count = LockstepClock(twin), Watchdog(), SimpleNamespace(count=0)
-    session, bus = started(arm_artifact(), clock, "0,0,-1@5", 5.0, tare=False)
+    session, bus = started(frozen(), clock, "0,0,-1@5", 5.0, tare=False, contacting=CONTACTING)
     console = SimpleNamespace(say=lambda line: None)
     operator = Operator(console, count, lambda: session.controller.contact_time, duration, True, False)
     seen = []
@@ -85,7 +96,7 @@ def moments():
     for state in OperatingState:
         times = [time for time, now in seen if now.state is state]
         if times:
-            found[state] = times[0] + min(0.5 * (times[-1] - times[0]), 0.15)
+            found[state] = times[0] + min(0.5 * (times[-1] - times[0]), 0.05)
     assert set(found) == set(OperatingState) - {OperatingState.FAULT}
     return found | {OperatingState.FAULT: found[OperatingState.CONTACT]}
 
@@ -101,7 +112,7 @@ def check(state, hazard, signals):
     if signals or hazard not in HARMLESS:
         named = next(time for time, known in seen if time >= at and known.reason is not Reason.NONE)
         assert named - at <= SOON
-        held = 0.0 if signals == 2 or now.let_go else LINGER
+        held = 0.0 if signals == 2 or now.let_go else HELD
         assert end - at <= SOON + WITHDRAWN + held + 2 * LETTING_GO
     if now.let_go and state in (OperatingState.IDLE, OperatingState.ARMED):
         assert end - at <= SOON
@@ -135,7 +146,7 @@ def test_every_state_hazard_and_signal(state, hazard):
 def test_an_arm_that_is_never_armed_or_activated_is_not_waited_for_for_ever():
     twin = Twin(twin_settings(gap=0.001, rhythm="none"))
     clock = LockstepClock(twin)
-    session, bus = started(arm_artifact(), clock, "0,0,-1@5", 5.0, tare=False)
+    session, bus = started(frozen(), clock, "0,0,-1@5", 5.0, tare=False)
     operator = Operator(SimpleNamespace(say=print), SimpleNamespace(count=0), lambda: 0.0, 1.0, True, False)
     began = clock.now()
     ended = session.run(
