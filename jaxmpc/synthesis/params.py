@@ -9,11 +9,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Shaped
 
 from jaxmpc import described
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.quantities import HORIZONS, PARAMETERS
+from jaxmpc.quantities import HORIZONS, PARAMETERS, ParameterValues
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.published import SETS
 from jaxmpc.synthesis.values import check_values, from_plain, rows_of, tables
@@ -24,14 +23,7 @@ STRUCTURE = ("architecture", "disturbance_order", "guarded", "listening")
 """What of a controller is no number to be tuned but needs a program of its own."""
 
 
-def _number(value: Any) -> Any:
-    """Numbers become float64 arrays; what JAX made, traced or not, stays as it is."""
-    if isinstance(value, jax.Array | np.ndarray):
-        return value
-    return np.asarray(value, np.float64)
-
-
-class Params(eqx.Module):
+class Params(eqx.Module, ParameterValues):
     """Parameters of one controller; every leaf may have leading batch dimensions (see `stack`).
 
     `delta` and `R` only set scales: the controller depends on λ/δ and Q/R alone.
@@ -40,26 +32,6 @@ class Params(eqx.Module):
         InputError: A value is not finite or out of its bounds, or H_u exceeds H_p.
     """
 
-    lam: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.1)
-    """λ, weight on the moves of the MPC [-]: one number, or a diagonal of `HU_MAX`."""
-    delta: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.9)
-    """δ, weight on the predicted force errors [-]: one number, or a diagonal of `HP_MAX`."""
-    Q_p: Shaped[Any, "..."] = eqx.field(converter=_number, default=0.5)
-    """Variance of the active state's N-th differences, its increments for N = 1, relative to R [(m/s²)²/N²]."""
-    Q_x: Shaped[Any, "..."] = eqx.field(converter=_number, default=1e-12)
-    """Variance of each state's process noise, relative to R [-]."""
-    R: Shaped[Any, "..."] = eqx.field(converter=_number, default=1.0)
-    """Variance of the force measurement [-]; only Q/R matters."""
-    T_cl: Shaped[Any, "..."] = eqx.field(converter=_number, default=3e-3)
-    """Time constant of the wanted closed loop [s]; below the sampling time is allowed and useful."""
-    K2: Shaped[Any, "..."] = eqx.field(converter=_number, default=10.0)
-    """Damping of the tip velocity [1/s]."""
-    Khat_s: Shaped[Any, "..."] = eqx.field(converter=_number, default=900.0)
-    """Tissue stiffness that the design assumes [N/m]."""
-    Hp: Shaped[Any, "..."] = eqx.field(converter=_number, default=30.0)
-    """Prediction horizon [samples]; whole numbers, but for a tuner on its way to one."""
-    Hu: Shaped[Any, "..."] = eqx.field(converter=_number, default=5.0)
-    """Control horizon [samples]."""
     architecture: Architecture = eqx.field(static=True, default="mpc-aob")
     """"mpc-aob", "aob" (u = F_d) or "mpc" (on the open-loop plant)."""
     disturbance_order: Order = eqx.field(static=True, default=1)
