@@ -18,7 +18,7 @@ from jaxmpc.law import force_control, identification
 from jaxmpc.law.cascade import AxisState
 from jaxmpc.law.force_control import Controller
 from jaxmpc.law.gain_backoff import BackoffState
-from jaxmpc.law.identification import StiffnessEstimate
+from jaxmpc.law.stiffness import StiffnessEstimate
 from jaxmpc.law.vectors import Vector3, Vector4
 
 _FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)

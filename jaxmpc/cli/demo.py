@@ -7,25 +7,22 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
+from jaxmpc.cli.demo_summary import SETTLE, STIFFNESS, Arm, band, errors, millinewtons, summary, worst_tables
 from jaxmpc.files.sealed import write_atomic
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from deploy.controller.artifact import Artifact
     from deploy.twin.flight import TwinFlight
-    from jaxmpc import Experiment
-    from jaxmpc.closed_loops import Outcome
     from jaxmpc.synthesis.params import Params
     from sweeps.result import Result
     from tuning import TuneResult
 
 UNSEEN_SEED = 1000
 """Motion on the arm; no tuner trains on it."""
-STIFFNESS, SECONDS, SETTLE = 810.0, 18.0, 8.0
-"""Stiffness of the tissue on the arm [N/m]; length of the flight in contact, and what is left out of it [s]."""
+SECONDS = 18.0
+"""Length of the flight in contact [s]."""
 APPROACH = 5.0
 """How much longer than the flight the simulation is [s]: a flight's heart beats before contact is made, and its seven
 peaks do not repeat, so that only the same stretch of it leaves the same residual."""
@@ -72,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     with _step("6/6 fly it in lock-step over the twin's beating heart, and replay the flight"):
         flight = _fly(folder, arm)
         same = _replay(folder, artifact)
-    _summary(folder, swept, tuned, arm, artifact, flight, time.monotonic() - began)
+    summary(folder, swept, tuned, arm, artifact, flight, time.monotonic() - began)
     return 0 if same and flight.ended.well else 1
 
 
@@ -133,14 +130,6 @@ def _tune(folder: Path) -> "TuneResult":
     return result
 
 
-class Arm(NamedTuple):
-    """Two controllers on the simulated arm, within the robot's limits."""
-
-    experiment: "Experiment"
-    text: "Outcome"
-    family: "Outcome"
-
-
 def _on_arm() -> Arm:
     """Both on one tissue and on motion that no tuner saw, with traces."""
     from msgspec.structs import replace
@@ -161,7 +150,7 @@ def _tell_arm(arm: Arm) -> None:
 
     for name, outcome in (("text", arm.text), ("family", arm.family)):
         status = Status(int(outcome.status[0])).name
-        print(f"{name:<7} status {status}, residual X / Y / Z {_three(outcome.metrics.rms[0])} mN")
+        print(f"{name:<7} status {status}, residual X / Y / Z {millinewtons(outcome.metrics.rms[0])} mN")
     assert isinstance(arm.family.trace, ArmSample)
     believed = np.asarray(arm.family.trace.stiffness)[0, :, -1]
     print(f"tissue of {STIFFNESS:g} N/m, which the family took for {' / '.join(f'{K:.0f}' for K in believed)} N/m")
@@ -181,9 +170,9 @@ def _freeze(folder: Path, arm: Arm) -> "Artifact":
 
 def _tell_frozen(folder: Path, artifact: "Artifact") -> None:
     path = folder / "controller.npz"
-    fixed, known = _worst_tables(artifact)
+    fixed, known = worst_tables(artifact)
     print(f"{path}: kind {artifact.kind}, {path.stat().st_size} bytes; 375 to 1900 N/m: worst M_s {fixed['M_s']:.2f}")
-    print(f"with the stiffness known to {_band(artifact)}: worst M_s {known['M_s']:.2f}")
+    print(f"with the stiffness known to {band(artifact)}: worst M_s {known['M_s']:.2f}")
 
 
 def _fly(folder: Path, arm: Arm) -> "TwinFlight":
@@ -198,7 +187,7 @@ def _fly(folder: Path, arm: Arm) -> "TwinFlight":
     flight = fly(folder / "controller.npz", settings, "0,0,-5@2", SECONDS, folder / "flight.npz")
     state = flight.ended.safety_state
     print(f"{SECONDS:g} s in contact; ended: {state.state}, {state.reason}\n{flight.said}")
-    measured, _, _ = _errors(arm, arm.text, flight)
+    measured, _, _ = errors(arm, arm.text, flight)
     before = flight.time[: len(measured)], measured[:, 2]
     flight_figure(folder / "flight.png", flight.time, flight.signals, STIFFNESS, before, SETTLE)
     return flight
@@ -216,102 +205,3 @@ def _replay(folder: Path, artifact: "Artifact") -> bool:
     said = f"parts in {', '.join(parted)}" if parted else "the same"
     print(f"replay of {rows[0].samples} samples in the runtime: {said}")
     return not parted
-
-
-def _summary(
-    folder: Path,
-    swept: "Result",
-    tuned: "TuneResult",
-    arm: Arm,
-    artifact: "Artifact",
-    flight: "TwinFlight",
-    seconds: float,
-) -> None:
-    import numpy as np
-
-    from jaxmpc.quantities import MARGINS
-    from jaxmpc.terminal.tables import show
-
-    print("\nlinear loop, without the robot's limits, unseen motion: worst residual", end=" ")
-    print(" → ".join(f"{1e3 * rms:.1f}" for rms in tuned.worst), "mN, text → autotuned", end="")
-    best = swept.best(1, 2.0)
-    print(f"; best of the sweep with M_s ≤ 2: {1e3 * best.worst('rms')[0]:.1f} mN" if len(best) else "")
-
-    flown = flight.rms(SETTLE)
-    text, family = (_residuals(arm, outcome, flight) for outcome in (arm.text, arm.family))
-    show(
-        f"the arm within the robot's limits, {STIFFNESS:g} N/m, unseen motion: residual RMS of X / Y / Z",
-        ("controller", "measured [mN]", "true force [mN]", "clamped"),
-        [
-            ["paper's text design, simulated", *_told(*text)],
-            ["family, simulated", *_told(*family)],
-            ["family, flown in lock-step", *_told(*flown, flight.clamped(SETTLE))],
-        ],
-    )
-    as_run = tuned.margins["as run"]
-    published = {name: row.worst(np.asarray(getattr(as_run, name))[0]) for name, row in MARGINS.items()}
-    names = ("family, stiffness unknown", f"family, known to {_band(artifact)}")
-    tables = {"paper's text design": published, **dict(zip(names, _worst_tables(artifact), strict=True))}
-    show(
-        "worst margins from 375 to 1900 N/m, as it runs",
-        ("controller", *(row.heading for row in MARGINS.values())),
-        [[name, *(row.entry(table[key]) for key, row in MARGINS.items())] for name, table in tables.items()],
-    )
-    share = np.max(flown[0] / text[0])
-    print(f"flown: at most {share:.2f} of the residual of the paper's text design")
-    print(f"\neverything lies in {folder}/ ({seconds:.0f} s):")
-    for path in sorted(folder.glob("*")):
-        print(f"  {path}{'/' if path.is_dir() else ''}")
-
-
-def _three(values: Any) -> str:
-    return " / ".join(f"{1e3 * float(value):.0f}" for value in values)
-
-
-def _errors(arm: Arm, outcome: "Outcome", flight: "TwinFlight") -> "tuple[np.ndarray, np.ndarray, np.ndarray]":
-    """Errors of a simulated run while the heart moved as under the flight.
-
-    Returns:
-        Of the measured and of the true force (n, 3) [N], and where a limit acted (n,); rows are the flight's cycles.
-    """
-    import numpy as np
-
-    from jaxmpc.loop.arm import ArmSample
-
-    trace = outcome.trace
-    assert isinstance(trace, ArmSample)
-    first = round(flight.began / arm.experiment.sampling_time)
-    rows = slice(first, first + len(flight.time))
-    wanted = np.asarray(trace.force_ref)[0, :, rows, 0]
-    measured, true = (np.asarray(force)[0, :, rows] - wanted for force in (trace.force, trace.true_force))
-    return measured.T, true.T, np.asarray(trace.clamped)[0, 0, rows]
-
-
-def _residuals(arm: Arm, outcome: "Outcome", flight: "TwinFlight") -> "tuple[np.ndarray, np.ndarray, float]":
-    """Residual RMS (3,) [N] of a simulated run, measured and true, and the share of clamped samples [-], as flown."""
-    import numpy as np
-
-    measured, true, clamped = (values[flight.time[: len(values)] >= SETTLE] for values in _errors(arm, outcome, flight))
-    return np.sqrt(np.mean(measured**2, axis=0)), np.sqrt(np.mean(true**2, axis=0)), float(np.mean(clamped > 0.0))
-
-
-def _told(measured: Any, true: Any, clamped: float) -> list[str]:
-    """Residuals, measured and true, and the share of clamped samples."""
-    return [_three(measured), _three(true), f"{clamped:.2%}"]
-
-
-def _worst_tables(artifact: "Artifact") -> list[dict[str, float]]:
-    """Worst margins of both tables: of the fixed gains on every tissue, and where the stiffness is known."""
-    from jaxmpc.quantities import MARGINS
-
-    assert artifact.family is not None
-    tables = artifact.margins, artifact.family["rows"]
-    return [
-        {name: (max if row.ceiling else min)(each[name] for each in table) for name, row in MARGINS.items()}
-        for table in tables
-    ]
-
-
-def _band(artifact: "Artifact") -> str:
-    assert artifact.family is not None
-    return f"±{100 * artifact.family['band']:g} %"

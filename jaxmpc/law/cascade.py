@@ -20,11 +20,11 @@ Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from jaxmpc.law import force_filter, identification
+from jaxmpc.law import force_filter
 from jaxmpc.law.force_filter import FilteredForce
 from jaxmpc.law.gains import Gains, order
-from jaxmpc.law.identification import StiffnessEstimate
 from jaxmpc.law.scalar import Scalar
+from jaxmpc.law.stiffness import StiffnessEstimate, unknown
 
 
 class AxisState(NamedTuple):
@@ -50,7 +50,7 @@ def init(gains: Gains, force: Scalar = 0.0) -> AxisState:
     """State at rest in contact with a measured force [N]: no rate, no disturbance, no command."""
     zero = 0.0 * force
     schedule = gains.schedule
-    tissue = None if schedule is None else identification.init(schedule.identification, force)
+    tissue = None if schedule is None else unknown(schedule.identification, force)
     filtered = None if gains.force_filter is None else FilteredForce(force, zero)
     return AxisState((force, zero, zero), zero, force, zero, (zero,) * (order(gains) - 1), filtered, tissue)
 

@@ -4,9 +4,9 @@ from typing import Annotated, Any, NamedTuple
 
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.gain_backoff import GainBackoff
-from jaxmpc.law.identification import StiffnessIdentification
 from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Constant, Scalar
+from jaxmpc.law.stiffness import StiffnessIdentification
 
 Vector = Any
 """A sequence of scalars, or an array whose last dimension is that sequence."""

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.law.identification import StiffnessIdentification
+from jaxmpc.law.stiffness import StiffnessIdentification
 
 BOUNDS: Mapping[str, tuple[float, float, str]] = {
     "amplitude": (0.01, 1.0, "N"),

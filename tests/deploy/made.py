@@ -20,9 +20,9 @@ from jaxmpc.law.computed_torque import Nominal
 from jaxmpc.law.force_control import Controller
 from jaxmpc.law.friction_compensation import NominalFriction
 from jaxmpc.law.gains import Gains, GainSchedule, Knot, constant_reference, with_gain
-from jaxmpc.law.identification import StiffnessIdentification
 from jaxmpc.law.measurement import Measurement
 from jaxmpc.law.ops import FLOATS
+from jaxmpc.law.stiffness import StiffnessIdentification
 
 K_HAT, K2, T_S = 900.0, 10.0, 1e-3
 POSTURE = (0.0, 0.7, 0.0, 2.2)

@@ -12,8 +12,10 @@ from jaxmpc import Experiment, Params, design
 from jaxmpc.engine.base import scalars
 from jaxmpc.engine.scenario import scenario_data
 from jaxmpc.law import identification
+from jaxmpc.law.belief import decide
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.ops import FLOATS
+from jaxmpc.law.stiffness import UNHEARD, unknown
 from jaxmpc.loop.linear import AxisSignals, advance, start
 from jaxmpc.stability.loop import contact_of
 
@@ -93,7 +95,7 @@ def test_the_lock_in_is_what_scipy_makes_of_the_same_signals(gains, fly) -> None
     Y, X = heard(flown.force), heard(flown.tip)
     # Where it is sure, K̂ follows this quotient; at 2 s it has had half a second for it.
     expected = (Y * X.conj()).real / (np.abs(X) ** 2 + identification.TIP_FLOOR)
-    state = identification.init(constants, flown.force[0])
+    state = unknown(constants, flown.force[0])
     for k, (force, tip) in enumerate(zip(flown.force, flown.tip, strict=True)):
         state = state._replace(listening=flown.listening[k - 1] if k else 0.0)
         state, found, lead = identification._listen(constants, state, force, tip, FLOATS)
@@ -104,7 +106,7 @@ def test_the_lock_in_is_what_scipy_makes_of_the_same_signals(gains, fly) -> None
 
 def test_the_answer_to_the_sine_is_told_apart_from_the_rest_of_the_force(gains) -> None:
     constants = gains.schedule.identification
-    state, angle = identification.init(constants, 0.0), np.arctan2(constants.turn[1], constants.turn[0])
+    state, angle = unknown(constants, 0.0), np.arctan2(constants.turn[1], constants.turn[0])
     left = []
     for k in range(8000):
         force = -5.0 + 0.2 * np.sin(angle * k + 0.7)
@@ -168,7 +170,7 @@ def test_tissue_that_damps_is_left_to_the_fixed_gains(gains) -> None:
     constants, omega = gains.schedule.identification, 2.0 * np.pi * 17.0
 
     def authority_after(viscosity: float) -> float:
-        state, narrowest = identification.init(constants, 0.0), identification.UNHEARD
+        state, narrowest = unknown(constants, 0.0), UNHEARD
         for k in range(8000):
             tip = 1e-4 * np.sin(omega * k * T_s)
             force = 810.0 * tip + viscosity * 1e-4 * omega * np.cos(omega * k * T_s)
@@ -198,9 +200,9 @@ def test_a_sine_that_finds_nothing_goes_off_and_tries_again(gains, fly) -> None:
     assert np.all(flown.listening[1000:11_000] == 1.0)
     assert np.all(flown.listening[15_000:] == 0.0)
 
-    constants, state, sounding = family.identification, identification.init(family.identification, 0.0), []
+    constants, state, sounding = family.identification, unknown(family.identification, 0.0), []
     for _ in range(180_000):
-        state = identification._decide(constants, state, 1.0, 0.0, 0.0, 0.0, FLOATS)
+        state = decide(constants, state, 1.0, 0.0, 0.0, 0.0, FLOATS)
         sounding.append(state.listening)
     heard = np.array(sounding[40_000:])
     assert 0.1 < np.mean(heard) < 0.25
@@ -211,16 +213,16 @@ def test_a_sine_that_finds_nothing_goes_off_and_tries_again(gains, fly) -> None:
 
 def test_a_schedule_under_which_a_guard_took_gain_back_is_trusted_again_within_minutes(gains) -> None:
     constants = gains.schedule.identification
-    state = identification.init(constants, 0.0)._replace(authority=1.0)
+    state = unknown(constants, 0.0)._replace(authority=1.0)
     for _ in range(2000):
-        state = identification._decide(constants, state, 810.0, 0.0, 0.5, 0.0, FLOATS)
+        state = decide(constants, state, 810.0, 0.0, 0.5, 0.0, FLOATS)
     assert state.authority == 0.0
     assert 0.2 < state.trust < 0.5
     # Known all the time: it never has more than it is trusted with.
     least = state.trust
     for _ in range(100_000):
         state = state._replace(width=0.0, heard=1.0, log_stiffness=np.log(810.0))
-        state = identification._decide(constants, state, 810.0, 0.0, 0.0, 0.0, FLOATS)
+        state = decide(constants, state, 810.0, 0.0, 0.0, 0.0, FLOATS)
         assert state.authority <= state.trust
     assert state.trust == pytest.approx(1.0 - (1.0 - least) * np.exp(-100.0 / 150.0), rel=1e-3)
     assert state.authority == pytest.approx(state.trust, rel=1e-4)

@@ -17,7 +17,8 @@ from deploy.flight.recorder import FlightRecording, read
 from deploy.loop.loop import REASONS, STATES
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
-from jaxmpc.cli.demo import SECONDS, SETTLE
+from jaxmpc.cli.demo import SECONDS
+from jaxmpc.cli.demo_summary import SETTLE
 from sweeps.result import Result
 
 PICTURES = ("tuning-history.png", "flight.png")
