@@ -140,6 +140,7 @@ def _run(
     from functools import partial
 
     from sweeps import rates
+    from sweeps.crew import Alone
     from sweeps.leases import SILENCE, given_up
     from sweeps.refine.run import run as run_refined
     from sweeps.run import SweepStoppedError
@@ -157,7 +158,8 @@ def _run(
             retry=bool(args.retry),
             silence=args.silence or SILENCE,
             crew=crew,
-            paced=lambda plan, pace: rates.record(plan, pace, cores),
+            # Workers share cores with each other, or have others: their pace is no estimate of this process's.
+            paced=(lambda plan, pace: rates.record(plan, pace, cores)) if crew is Alone else None,
         )
     except KeyboardInterrupt:
         print("\njaxmpc sweep: interrupted; run the same command again to go on where it stopped", file=sys.stderr)

@@ -8,7 +8,7 @@ from typing import Any
 
 from jaxmpc.files.errors import InputError
 from sweeps.blocks import padded
-from sweeps.crew import ComputedChunk, Crew, Stop
+from sweeps.crew import ComputedChunk, Crew, RowsFailedError, Stop, joined, rounds
 from sweeps.leases import Leases, Stretch
 from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan
@@ -28,6 +28,8 @@ _SECURE = ("tcp://", "tls://", "ucx://", "ws://", "wss://")
 def worked(plan: Plan, first: int, last: int, cores: int | None) -> tuple[Columns, dict[str, str], int, float]:
     """A worker's side: columns, its environment, the rows that it ran, and how long that took [s].
 
+    Its first round of a sweep is none of these: it has compiled as well.
+
     Args:
         plan: The sweep, with the content of its recordings.
         first: Place of the first row among the planned ones.
@@ -37,15 +39,24 @@ def worked(plan: Plan, first: int, last: int, cores: int | None) -> tuple[Column
     _prepare(cores)
     import jax
 
-    from sweeps.compute import compute
     from sweeps.machine import environment
 
-    began = time.perf_counter()
-    columns = compute(plan, first, last)
-    devices = jax.local_device_count()
-    return columns, environment(), padded(plan, devices, first, last), time.perf_counter() - began
+    devices, began = jax.local_device_count(), time.perf_counter()
+    parts: list[Columns] = []
+    rows, seconds = 0, 0.0
+    # Round by round: a chunk at once would be a program of its own for each length that a chunk may have.
+    for end, columns in rounds(plan, (first, last), lambda: False):
+        now = time.perf_counter()
+        if plan.spec_hash in _compiled:
+            rows, seconds = rows + padded(plan, devices, first, end), seconds + now - began
+        _compiled.add(plan.spec_hash)
+        parts.append(columns)
+        first, began = end, now
+    return joined(parts), environment(), rows, seconds
 
 
+_compiled: set[str] = set()
+"""Sweeps of which this worker has computed a round."""
 _prepared = False
 
 
@@ -152,8 +163,10 @@ class DaskCrew(Crew):
             columns, environment, rows, seconds = future.result()
         # Of any type: whatever is wrong with these rows, the others are still wanted.
         except Exception as reason:
-            return ComputedChunk(stretch, *stretch, None, f"{type(reason).__name__}: {reason}")
-        pace.tell(rows, seconds)
+            said = f"{reason}" if isinstance(reason, RowsFailedError) else f"{type(reason).__name__}: {reason}"
+            return ComputedChunk(stretch, *stretch, None, said)
+        if rows:
+            pace.tell(rows, seconds)
         self._told(columns)
         return ComputedChunk(stretch, *stretch, columns, environment=environment)
 

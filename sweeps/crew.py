@@ -3,10 +3,13 @@
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from sweeps.blocks import padded
+from sweeps.compiling import so_far
 from sweeps.compute import begin, round_of
 from sweeps.leases import Leases, Stretch
 from sweeps.pace import Pace
@@ -39,6 +42,11 @@ class ComputedChunk(NamedTuple):
     """Where, if that is not this process."""
     ends: bool = True
     """Whether nothing more comes of the stretch."""
+
+
+def joined(parts: Sequence[Columns]) -> Columns:
+    """The columns of rounds, one after another."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 class Crew(ABC):
@@ -84,22 +92,20 @@ class Alone(Crew):
     def _made(self, plan: Plan, stretch: Stretch, leases: Leases, pace: Pace, stop: Stop) -> Iterator[ComputedChunk]:
         """Files of a stretch, one after another."""
         import jax
-        import numpy as np
 
         devices, length = jax.local_device_count(), pace.length
         parts: list[Columns] = []
         first = done = stretch[0]
-        began = time.perf_counter()
+        began, before = time.perf_counter(), so_far()
 
         def chunk(ends: bool) -> ComputedChunk:
-            columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-            return ComputedChunk(stretch, first, done, columns, ends=ends)
+            return ComputedChunk(stretch, first, done, joined(parts), ends=ends)
 
         try:
-            for end, columns in _rounds(plan, stretch, stop):
-                now = time.perf_counter()
-                pace.tell(padded(plan, devices, done, end), now - began)
-                done, began = end, now
+            for end, columns in rounds(plan, stretch, stop):
+                now, heard = time.perf_counter(), so_far()
+                pace.tell(padded(plan, devices, done, end), now - began, heard.since(before))
+                done, began, before = end, now, heard
                 leases.warm = True
                 self._told(columns)
                 parts.append(columns)
@@ -113,7 +119,7 @@ class Alone(Crew):
         yield chunk(ends=True)
 
 
-def _rounds(plan: Plan, stretch: Stretch, stop: Stop) -> Iterator[tuple[int, Columns]]:
+def rounds(plan: Plan, stretch: Stretch, stop: Stop) -> Iterator[tuple[int, Columns]]:
     """Rounds of a stretch: the place behind each, and its columns. Devices work on one ahead of what is asked for.
 
     Raises:

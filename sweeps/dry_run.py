@@ -4,6 +4,7 @@ import time
 
 from sweeps import rates
 from sweeps.blocks import block_of, in_pairs, padded, programs, signal_bytes
+from sweeps.compiling import so_far
 from sweeps.pace import CHUNK_SECONDS, Pace
 from sweeps.plan import Plan
 from sweeps.spec import SweepSpec
@@ -38,7 +39,8 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
     if took is None:
         lines.append("  time        unknown: nothing like it has been run on this machine; --measure finds out")
     else:
-        parts = f"{took.compile_s:.0f} s to compile, then {took.rate:.0f} rows/s"
+        start = "start, compiled before" if took.remembered else "compile"
+        parts = f"{took.start_s:.0f} s to {start}, then {took.rate:.0f} rows/s"
         chunks = max(1, round(took.rows / took.rate / CHUNK_SECONDS))
         lines.append(f"  time        {took.seconds:.0f} s from nothing: {parts} (from {took.like})")
         lines.append(f"  chunks      {chunks} of some seconds each")
@@ -71,7 +73,7 @@ def _measured(plan: Plan, cores: int) -> None:
     width = min(round_of(plan), len(plan.rows))
     pace = Pace(None, width, plan.largest_chunk)
     for _ in range(2):
-        began = time.perf_counter()
+        began, before = time.perf_counter(), so_far()
         compute(plan, 0, width)
-        pace.tell(padded(plan, cores, 0, width), time.perf_counter() - began)
+        pace.tell(padded(plan, cores, 0, width), time.perf_counter() - began, so_far().since(before))
     rates.record(plan, pace, cores)

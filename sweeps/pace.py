@@ -1,5 +1,7 @@
 """How many rows are taken at once: as many as take a few seconds, as measured on the way; and how many a file holds."""
 
+from sweeps.compiling import Compiling
+
 CHUNK_SECONDS = 5.0
 """Work that is taken at once, one chunk file or several [s]: what a kill can cost."""
 
@@ -19,14 +21,16 @@ class Pace:
         self.length = self.stretch = fixed or min(width, most)
         """Rows of a chunk file, and of what is taken at once."""
         self.first_s = self.seconds = 0.0
+        self.compiling = Compiling()
+        """Of the first round."""
         self.rounds = self.rows = 0
         """Rounds so far, and the padded rows of all but the first, which may have compiled."""
 
-    def tell(self, padded_rows: int, seconds: float) -> None:
-        """A round of so many rows took so long."""
+    def tell(self, padded_rows: int, seconds: float, compiling: Compiling | None = None) -> None:
+        """A round of so many rows took so long, compiling included."""
         self.rounds += 1
         if self.rounds == 1:
-            self.first_s = seconds
+            self.first_s, self.compiling = seconds, compiling or Compiling()
             return
         self.rows, self.seconds = self.rows + padded_rows, self.seconds + seconds
         if self._fixed is None and self.seconds > 0.0:

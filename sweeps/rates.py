@@ -3,9 +3,10 @@
 import json
 import math
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxmpc.files.foreign import table_if_any
 from jaxmpc.files.sealed import write_atomic
@@ -21,7 +22,7 @@ FOREIGN = 4.0
 class CostEstimate(NamedTuple):
     """What a sweep will take."""
 
-    compile_s: float
+    start_s: float
     """Until the end of the first round, beyond its own work [s]."""
     rate: float
     """Rows per second after that [1/s]."""
@@ -29,11 +30,13 @@ class CostEstimate(NamedTuple):
     """Rows that are run, those that fill up blocks included."""
     like: str
     """From what it was taken."""
+    remembered: bool
+    """Whether its program has been compiled before, and is loaded."""
 
     @property
     def seconds(self) -> float:
         """All of it [s]."""
-        return self.compile_s + self.rows / self.rate
+        return self.start_s + self.rows / self.rate
 
 
 def kept_in() -> Path:
@@ -48,9 +51,17 @@ def record(plan: Plan, pace: Pace, devices: int, where: Path | None = None) -> N
         return
     path = where or kept_in()
     per_row = pace.seconds / pace.rows
-    compile_s = max(pace.first_s - per_row * block_of(plan) * devices, 0.0)
     table = table_if_any(path)
-    table.setdefault(kind_of(plan, devices), {})[str(_samples(plan))] = [per_row, compile_s]
+    kind, samples = kind_of(plan, devices), str(_samples(plan))
+    before = _known(table, kind).get(samples)
+    start_s, compile_s = (
+        max(pace.first_s - per_row * block_of(plan) * devices - pace.compiling.spent, 0.0),
+        pace.compiling.anew,
+    )
+    if before is not None and not compile_s:
+        # This very process had the program already.
+        _, start_s, compile_s = before
+    table[kind] = {**_known(table, kind), samples: [per_row, start_s, compile_s]}
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, json.dumps(table, indent=1, sort_keys=True).encode())
@@ -65,17 +76,28 @@ def estimate(plan: Plan, devices: int, missing: int | None = None, where: Path |
         missing: Rows that are left; None is all.
         where: File of the rates; None is the user's.
     """
-    known = table_if_any(where or kept_in()).get(kind_of(plan, devices), {})
+    import jax
+
+    known = _known(table_if_any(where or kept_in()), kind_of(plan, devices))
     if not known:
         return None
     samples = _samples(plan)
     nearest = min(known, key=lambda name: abs(math.log(int(name) / samples)))
-    per_row, compile_s = known[nearest]
+    per_row, start_s, compile_s = known[nearest]
+    config: Any = jax.config
+    remembered = int(nearest) == samples and config.jax_enable_compilation_cache
     share = 1.0 if missing is None else missing / max(len(plan.rows), 1)
     rows = round(padded(plan, devices, 0, len(plan.rows)) * share)
     ratio = int(nearest) / samples
     like = "runs like it on this machine" if 1 / FOREIGN < ratio < FOREIGN else "shorter or longer runs on this machine"
-    return CostEstimate(compile_s, 1.0 / (per_row / ratio), rows, like)
+    return CostEstimate(start_s + (0.0 if remembered else compile_s), ratio / per_row, rows, like, remembered)
+
+
+def _known(table: Mapping[str, Any], kind: str) -> dict[str, list[float]]:
+    """By samples: time of a row, of starting with a program that is remembered, and what compiling adds [s]."""
+    found = table.get(kind)
+    items = found.items() if isinstance(found, dict) else ()
+    return {name: each for name, each in items if isinstance(each, list) and len(each) == 3}
 
 
 def kind_of(plan: Plan, devices: int) -> str:

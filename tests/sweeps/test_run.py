@@ -30,9 +30,10 @@ from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps import chunks as stored
-from sweeps import store
-from sweeps.compute import compute
-from sweeps.plan import Plan, make_plan
+from sweeps import cluster, store
+from sweeps.blocks import padded
+from sweeps.compute import begin, compute
+from sweeps.plan import Columns, Plan, make_plan
 from sweeps.result import Result
 from sweeps.run import run
 from sweeps.spec import SweepSpec
@@ -87,6 +88,28 @@ def test_rows_can_be_computed_by_whoever_is_asked(finished: Finished, spec: Swee
     task = pickle.loads(pickle.dumps(partial(compute, make_plan(spec), 30, 40)))
     for name, values in task().items():
         np.testing.assert_array_equal(values, finished[1][name][30:40], err_msg=name)
+
+
+def test_a_worker_computes_a_chunk_round_by_round(
+    finished: Finished, spec: SweepSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+
+    def counted(plan: Plan, first: int, last: int) -> Callable[[], Columns]:
+        asked.append(last - first)
+        return begin(plan, first, last)
+
+    monkeypatch.setattr(cluster, "_prepared", True)
+    monkeypatch.setattr(cluster, "_compiled", set())
+    monkeypatch.setattr("sweeps.crew.round_of", lambda plan: 20)
+    monkeypatch.setattr("sweeps.crew.begin", counted)
+    columns, _, rows, seconds = cluster.worked(make_plan(spec), 30, 85, None)
+    for name, values in columns.items():
+        np.testing.assert_array_equal(values, finished[1][name][30:85], err_msg=name)
+    # A chunk at once would be a program of its own for each length; the first round has compiled, and says nothing.
+    assert asked == [20, 20, 15]
+    assert rows == padded(make_plan(spec), jax.local_device_count(), 50, 85) * 2
+    assert seconds > 0.0
 
 
 @pytest.fixture

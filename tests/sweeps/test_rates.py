@@ -1,0 +1,110 @@
+"""What a machine remembers of its runs: how fast rows are, what starting costs, and what compiling adds."""
+
+import json
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import msgspec
+import pytest
+
+from sweeps import rates
+from sweeps.blocks import block_of, padded
+from sweeps.compiling import Compiling, so_far
+from sweeps.pace import Pace
+from sweeps.plan import Plan, make_plan
+from sweeps.spec import SweepSpec
+
+DEVICES, PER_ROW, START, COMPILE = 2, 0.01, 2.0, 10.0
+
+
+@pytest.fixture
+def plan(spec: SweepSpec) -> Plan:
+    return make_plan(spec)
+
+
+@pytest.fixture
+def longer(spec: SweepSpec) -> Plan:
+    """Twice the samples: another program."""
+    return make_plan(replace(spec, experiment=msgspec.structs.replace(spec.experiment, duration=2.0)))
+
+
+def paced(plan: Plan, compiling: Compiling, start: float = START) -> Pace:
+    """Of a run whose first round started and compiled."""
+    width = block_of(plan) * DEVICES
+    pace = Pace(None, width, plan.largest_chunk)
+    pace.tell(width, PER_ROW * width + start + compiling.spent, compiling)
+    for _ in range(3):
+        pace.tell(width, PER_ROW * width)
+    return pace
+
+
+def seconds(plan: Plan, per_row: float = PER_ROW) -> float:
+    return per_row * padded(plan, DEVICES, 0, len(plan.rows))
+
+
+def test_what_was_compiled_before_is_loaded(plan: Plan, longer: Plan, tmp_path: Path) -> None:
+    where = tmp_path / "rates.json"
+    assert rates.estimate(plan, DEVICES, where=where) is None
+    rates.record(plan, paced(plan, Compiling(COMPILE, COMPILE)), DEVICES, where)
+    again = rates.estimate(plan, DEVICES, where=where)
+    assert again is not None
+    assert again.remembered
+    assert again.seconds == pytest.approx(START + seconds(plan))
+    other = rates.estimate(longer, DEVICES, where=where)
+    assert other is not None
+    assert not other.remembered
+    assert other.seconds == pytest.approx(START + COMPILE + seconds(longer, 2.0 * PER_ROW))
+
+
+def test_a_loaded_program_says_what_compiling_takes(plan: Plan, longer: Plan, tmp_path: Path) -> None:
+    where = tmp_path / "rates.json"
+    rates.record(plan, paced(plan, Compiling(0.5, COMPILE)), DEVICES, where)
+    other = rates.estimate(longer, DEVICES, where=where)
+    assert other is not None
+    assert other.start_s == pytest.approx(START + COMPILE)
+
+
+def test_a_second_run_of_one_process_leaves_what_starting_takes(plan: Plan, tmp_path: Path) -> None:
+    where = tmp_path / "rates.json"
+    rates.record(plan, paced(plan, Compiling(COMPILE, COMPILE)), DEVICES, where)
+    rates.record(plan, paced(plan, Compiling(), start=0.0), DEVICES, where)
+    again = rates.estimate(plan, DEVICES, where=where)
+    assert again is not None
+    assert again.start_s == pytest.approx(START)
+
+
+def test_without_a_cache_of_programs_compiling_counts(
+    plan: Plan, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    where = tmp_path / "rates.json"
+    rates.record(plan, paced(plan, Compiling(COMPILE, COMPILE)), DEVICES, where)
+    config: Any = jax.config
+    request.addfinalizer(partial(config.update, "jax_enable_compilation_cache", config.jax_enable_compilation_cache))
+    config.update("jax_enable_compilation_cache", False)
+    again = rates.estimate(plan, DEVICES, where=where)
+    assert again is not None
+    assert again.start_s == pytest.approx(START + COMPILE)
+
+
+@pytest.mark.parametrize("entry", [{"6000": [0.01, 2.0]}, {"6000": []}, {"6000": 3.0}, [], None])
+def test_rates_of_another_version_are_none(plan: Plan, tmp_path: Path, entry: object) -> None:
+    where = tmp_path / "rates.json"
+    where.write_text(json.dumps({rates.kind_of(plan, DEVICES): entry}))
+    assert rates.estimate(plan, DEVICES, where=where) is None
+    rates.record(plan, paced(plan, Compiling(COMPILE, COMPILE)), DEVICES, where)
+    assert rates.estimate(plan, DEVICES, where=where) is not None
+
+
+def test_compiling_is_heard_of() -> None:
+    before = so_far()
+    jax.jit(lambda x: jnp.sin(x) * 3.125)(jnp.arange(3.0)).block_until_ready()
+    took = so_far().since(before)
+    assert 0.0 < took.spent < 60.0
+    assert took.anew > 0.0
+    before = so_far()
+    jnp.arange(3.0)
+    assert so_far().since(before).spent == 0.0
