@@ -106,12 +106,13 @@ def bare(spec: Any) -> tuple[Callable[[], None], Callable[[], None]]:
     from jaxmpc.engine.scenario import program_spec
     from sweeps.blocks import block_of
     from sweeps.compute import _program, _scenario, round_of
+    from sweeps.engines import chosen
     from sweeps.plan import make_plan
     from sweeps.rows import meetings
 
     plan = make_plan(spec)
     (meeting,) = meetings(plan.base, plan.space.axes, plan.space.columns(plan.rows), by_world=True)
-    program = _program(program_spec(spec.experiment), plan.canonical["precision"], block_of(plan))
+    program = _program(chosen(program_spec(spec.experiment), plan), plan.canonical["precision"], block_of(plan))
     width, scene = round_of(plan), _scenario(spec.experiment)
 
     def over(first: int, last: int) -> None:

@@ -4,11 +4,13 @@ import argparse
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxmpc.files.errors import InputError, nearest, plain_name
 from jaxmpc.files.outputs import check_folder
+from jaxmpc.terminal.arguments import engine_argument
 from sweeps.show.cli import VERBS, counts, show, show_arguments
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ RUN_ONLY = {
     "chunk": "--chunk",
     "quiet": "--quiet",
     "cores": "--cores",
+    "engine": "--engine",
     "part": "--part",
     "local_workers": "--local-workers",
     "cluster": "--cluster",
@@ -41,7 +44,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("what", nargs="+", metavar="SPEC.toml | VERB DIR", help="the sweep to run, or what to show")
     parser.add_argument("-o", type=Path, dest="out", help="results (default runs/SPEC) or figures (default DIR/report)")
-    running = parser.add_argument_group("running a sweep; the result depends on none of these")
+    running = parser.add_argument_group(
+        "running a sweep; the result depends on none of these, but for last bits on the engine"
+    )
 
     def switch(name: str, text: str) -> None:
         running.add_argument(name, action="store_const", const=True, help=text)
@@ -50,6 +55,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     switch("--measure", "with --dry-run: compute the first rows to find out")
     running.add_argument("--chunk", type=int, help="rows of a chunk file (default: a few seconds of work)")
     running.add_argument("--cores", type=int, help="CPU cores to use (default: all)")
+    engine_argument(running)
     running.add_argument("--part", metavar="K/N", help="begin with the K-th of N parts, then help with the others")
     running.add_argument("--local-workers", type=int, metavar="N", help="N processes of Dask on this machine")
     running.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, as tcp://HOST:PORT")
@@ -99,11 +105,17 @@ def _sweep(args: argparse.Namespace) -> int:
     from sweeps.plan import check_chunk, describe, make_plan
     from sweeps.spec import SweepSpec
 
-    spec = SweepSpec.from_toml(args.what[0])
+    spec = replace(SweepSpec.from_toml(args.what[0]), engine=args.engine)
     folder = args.out or Path("runs") / plain_name("the spec's name", spec.name)
     check_folder("-o", folder)
     with located(args.what[0]):
         plan = make_plan(spec)
+    if args.engine is not None:
+        from jaxmpc.terminal.process import use_all_cores
+        from sweeps import engines
+
+        use_all_cores(cores)
+        engines.check(spec, plan)
     if args.chunk is not None:
         check_chunk(plan, args.chunk)
     if spec.refine is not None:
@@ -141,6 +153,7 @@ def _run(
 
     from sweeps import rates
     from sweeps.crew import Alone
+    from sweeps.engines import devices
     from sweeps.leases import SILENCE, given_up
     from sweeps.refine.run import run as run_refined
     from sweeps.run import SweepStoppedError
@@ -159,7 +172,7 @@ def _run(
             silence=args.silence or SILENCE,
             crew=crew,
             # Workers share cores with each other, or have others: their pace is no estimate of this process's.
-            paced=(lambda plan, pace: rates.record(plan, pace, cores)) if crew is Alone else None,
+            paced=(lambda plan, pace: rates.record(plan, pace, devices(cores))) if crew is Alone else None,
         )
     except KeyboardInterrupt:
         print("\njaxmpc sweep: interrupted; run the same command again to go on where it stopped", file=sys.stderr)

@@ -39,6 +39,7 @@ def worked(plan: Plan, first: int, last: int, cores: int | None) -> tuple[Column
     _prepare(cores)
     import jax
 
+    from sweeps.engines import engine_of
     from sweeps.machine import environment
 
     devices, began = jax.local_device_count(), time.perf_counter()
@@ -52,7 +53,7 @@ def worked(plan: Plan, first: int, last: int, cores: int | None) -> tuple[Column
         _compiled.add(plan.spec_hash)
         parts.append(columns)
         first, began = end, now
-    return joined(parts), environment(), rows, seconds
+    return joined(parts), environment(engine_of(plan)), rows, seconds
 
 
 _compiled: set[str] = set()

@@ -24,13 +24,13 @@ import numpy as np
 
 from jaxmpc.closed_loops import Outcome, evaluate_block
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
-from jaxmpc.engine.registry import fastest
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.build import robot_of
 from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.blocks import BLOCK, OverBlocks
 from sweeps.blocks import block_of, in_pairs, shares_signals
+from sweeps.engines import chosen
 from sweeps.plan import Columns, Plan
 from sweeps.rows import Meeting, experiment_of, meetings, world_of
 
@@ -146,7 +146,7 @@ class _Site:
         nothing: Any = None
         apart = [scene._replace(signals=nothing) if shared else scene for scene in scenes]
         stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *apart)
-        program = _pairs(world, self.plan.canonical["precision"], block_of(self.plan))
+        program = _pairs(chosen(world, self.plan), self.plan.canonical["precision"], block_of(self.plan))
         with jax.enable_x64(True):
             return program.begin((batch, stacked), scenes[0].signals if shared else None)
 
@@ -164,7 +164,7 @@ def _site(spec_hash: str, plan: Plan) -> _Site:
 
 def _begun(program: Callable[..., OverBlocks], experiment: Experiment, plan: Plan, batch: Params) -> PendingOutcome:
     with jax.enable_x64(True):
-        run = program(program_spec(experiment), plan.canonical["precision"])
+        run = program(chosen(program_spec(experiment), plan), plan.canonical["precision"])
         return run.begin(batch, _scenario(experiment))
 
 
@@ -179,7 +179,7 @@ def _scenario(experiment: Experiment) -> ScenarioData:
 
 @lru_cache(maxsize=8)
 def _program(world: ProgramSpec, precision: str, block: int) -> OverBlocks:
-    return OverBlocks(partial(evaluate_block, world=fastest(world), dtype=precision), block)
+    return OverBlocks(partial(evaluate_block, world=world, dtype=precision), block)
 
 
 @lru_cache(maxsize=8)

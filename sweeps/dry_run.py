@@ -5,6 +5,8 @@ import time
 from sweeps import rates
 from sweeps.blocks import block_of, in_pairs, padded, programs, signal_bytes
 from sweeps.compiling import so_far
+from sweeps.engines import Devices, devices, engine_of
+from sweeps.machine import processor
 from sweeps.pace import CHUNK_SECONDS, Pace
 from sweeps.plan import Plan
 from sweeps.spec import SweepSpec
@@ -25,12 +27,14 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
     if measure:
         _measured(plan, cores)
     rows, compiled, experiment = len(plan.rows), programs(plan), plan.canonical["experiment"]
-    took = rates.estimate(plan, cores)
+    there = devices(cores)
+    took = rates.estimate(plan, there)
     each = "rows of one world" if plan.space.of_worlds and not in_pairs(plan) else "rows"
     way = "pairs of a controller and a world" if in_pairs(plan) else f"controllers × {_counted(plan.worlds, 'world')}"
-    memory = rows * plan.row_bytes + signal_bytes(plan) * (block_of(plan) * cores if in_pairs(plan) else 1)
+    memory = rows * plan.row_bytes + signal_bytes(plan) * (block_of(plan) * there.number if in_pairs(plan) else 1)
     lines = [
-        f"  engine      {experiment['physics']} on {_devices(cores)}, {way}, blocks of {block_of(plan)} {each}",
+        f"  engine      {engine_of(plan)}, {experiment['physics']} on {_named(there)}",
+        f"  blocks      of {block_of(plan)} {each}, {way}",
         f"  compiles    {_counted(compiled, 'program')}",
         f"  disk        {rows * plan.row_bytes / 1e6:.1f} MB",
         f"  memory      {memory / 1e6 + PROCESS_MB:.0f} MB",
@@ -54,13 +58,9 @@ def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}" + "s" * (number != 1)
 
 
-def _devices(cores: int) -> str:
+def _named(there: Devices) -> str:
     """What computes on this machine, in words."""
-    import jax
-
-    if jax.default_backend() == "cpu":
-        return f"{cores} cores"
-    return f"{jax.local_device_count()} × {jax.local_devices()[0].device_kind}"
+    return f"{there.number} cores" if there.kind == processor() else f"{there.number} × {there.kind}"
 
 
 def _measured(plan: Plan, cores: int) -> None:
@@ -71,9 +71,9 @@ def _measured(plan: Plan, cores: int) -> None:
     from sweeps.compute import compute, round_of
 
     width = min(round_of(plan), len(plan.rows))
-    pace = Pace(None, width, plan.largest_chunk)
+    pace, there = Pace(None, width, plan.largest_chunk), devices(cores)
     for _ in range(2):
         began, before = time.perf_counter(), so_far()
         compute(plan, 0, width)
-        pace.tell(padded(plan, cores, 0, width), time.perf_counter() - began, so_far().since(before))
-    rates.record(plan, pace, cores)
+        pace.tell(padded(plan, there.number, 0, width), time.perf_counter() - began, so_far().since(before))
+    rates.record(plan, pace, there)

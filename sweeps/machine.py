@@ -9,8 +9,8 @@ import numpy as np
 from jaxmpc import __version__
 
 
-def environment() -> dict[str, str]:
-    """Versions, processor and devices that compute."""
+def environment(engine: str) -> dict[str, str]:
+    """Versions, processor and devices that compute, and the engine that runs the rows."""
     import jax
     import jaxlib.version
 
@@ -26,6 +26,7 @@ def environment() -> dict[str, str]:
         "platform": f"{platform.system()} {platform.machine()}",
         "cpu": processor(),
         "device": jax.local_devices()[0].device_kind,
+        "engine": engine,
         "devices": "one" if jax.local_device_count() == 1 else "several",
         "xla_flags": " ".join(flags),
     }

@@ -43,15 +43,17 @@ class Plan:
         canonical: The spec as plain data, every default written out, a recording as the hash of its content.
         files: Content of the recordings, by that hash.
         goal: How rows are ranked; no part of the hash.
+        engine: Which one runs the rows; None is the fastest where they run. No part of the hash: the environment tells.
     """
 
     canonical: dict[str, Any]
     files: Mapping[str, bytes] = field(default_factory=dict)
     goal: SweepGoal = field(default_factory=SweepGoal)
+    engine: str | None = None
 
     def __reduce__(self) -> Any:
         # Without what is cached: the rows of a large sweep are many, and follow from the rest.
-        return Plan, (self.canonical, self.files, self.goal)
+        return Plan, (self.canonical, self.files, self.goal, self.engine)
 
     @cached_property
     def spec_hash(self) -> str:
@@ -179,7 +181,7 @@ def make_plan(spec: SweepSpec) -> Plan:
         "space": space,
     }
     # Through JSON types, so that a plan read back from its manifest is the same one.
-    return Plan(msgspec.json.decode(msgspec.json.encode(canonical)), files, spec.goal)
+    return Plan(msgspec.json.decode(msgspec.json.encode(canonical)), files, spec.goal, spec.engine)
 
 
 def check_chunk(plan: Plan, chunk: int) -> None:

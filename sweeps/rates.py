@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from jaxmpc.files.foreign import table_if_any
 from jaxmpc.files.sealed import write_atomic
 from sweeps.blocks import block_of, in_pairs, padded, shares_signals
-from sweeps.machine import processor
+from sweeps.engines import Devices, engine_of
 from sweeps.pace import Pace
 from sweeps.plan import Plan
 
@@ -45,7 +45,7 @@ def kept_in() -> Path:
     return cache / "jaxmpc" / "rates.json"
 
 
-def record(plan: Plan, pace: Pace, devices: int, where: Path | None = None) -> None:
+def record(plan: Plan, pace: Pace, devices: Devices, where: Path | None = None) -> None:
     """Note how long rows took; a cache that cannot be written costs the next estimate, nothing more."""
     if not pace.rows:
         return
@@ -55,7 +55,7 @@ def record(plan: Plan, pace: Pace, devices: int, where: Path | None = None) -> N
     kind, samples = kind_of(plan, devices), str(_samples(plan))
     before = _known(table, kind).get(samples)
     start_s, compile_s = (
-        max(pace.first_s - per_row * block_of(plan) * devices - pace.compiling.spent, 0.0),
+        max(pace.first_s - per_row * block_of(plan) * devices.number - pace.compiling.spent, 0.0),
         pace.compiling.anew,
     )
     if before is not None and not compile_s:
@@ -67,12 +67,14 @@ def record(plan: Plan, pace: Pace, devices: int, where: Path | None = None) -> N
         write_atomic(path, json.dumps(table, indent=1, sort_keys=True).encode())
 
 
-def estimate(plan: Plan, devices: int, missing: int | None = None, where: Path | None = None) -> CostEstimate | None:
+def estimate(
+    plan: Plan, devices: Devices, missing: int | None = None, where: Path | None = None
+) -> CostEstimate | None:
     """What a sweep will take on this machine; None where nothing like it has been run.
 
     Args:
         plan: What is swept.
-        devices: How many compute.
+        devices: What computes.
         missing: Rows that are left; None is all.
         where: File of the rates; None is the user's.
     """
@@ -87,7 +89,7 @@ def estimate(plan: Plan, devices: int, missing: int | None = None, where: Path |
     config: Any = jax.config
     remembered = int(nearest) == samples and config.jax_enable_compilation_cache
     share = 1.0 if missing is None else missing / max(len(plan.rows), 1)
-    rows = round(padded(plan, devices, 0, len(plan.rows)) * share)
+    rows = round(padded(plan, devices.number, 0, len(plan.rows)) * share)
     ratio = int(nearest) / samples
     like = "runs like it on this machine" if 1 / FOREIGN < ratio < FOREIGN else "shorter or longer runs on this machine"
     return CostEstimate(start_s + (0.0 if remembered else compile_s), ratio / per_row, rows, like, remembered)
@@ -100,14 +102,15 @@ def _known(table: Mapping[str, Any], kind: str) -> dict[str, list[float]]:
     return {name: each for name, each in items if isinstance(each, list) and len(each) == 3}
 
 
-def kind_of(plan: Plan, devices: int) -> str:
+def kind_of(plan: Plan, devices: Devices) -> str:
     """What rows must have in common to be equally fast, per sample of a tissue."""
     experiment, params = plan.canonical["experiment"], plan.canonical["params"]
     arm, on_arm = experiment["arm"], experiment["physics"] != "linear"
     way = ("pairs, signals shared" if shares_signals(plan) else "pairs") if in_pairs(plan) else f"{block_of(plan)}"
     parts = [
-        processor(),
-        f"{devices} devices",
+        devices.kind,
+        f"{devices.number} devices",
+        engine_of(plan),
         experiment["physics"],
         plan.canonical["precision"],
         f"blocks {way}",

@@ -29,6 +29,7 @@ class SweepSpec:
         goal: How rows are ranked; no part of the spec's hash.
         kept: Metrics and margins that are kept.
         on_error: What to do about a chunk that cannot be computed; no part of the spec's hash.
+        engine: Which one runs the rows; None is the fastest here. No part of the spec's hash.
         refine: How it goes on from there (`sweeps.refine`); None is not at all.
     """
 
@@ -41,6 +42,7 @@ class SweepSpec:
     kept: tuple[str, ...] = tuple(MEASURED)
     on_error: OnError = "keep"
     refine: RefineTable | None = None
+    engine: str | None = None
 
     def __repr__(self) -> str:
         lines = [

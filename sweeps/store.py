@@ -19,6 +19,7 @@ import msgspec
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.foreign import LARGEST_JSON, LARGEST_RECORDING, json_of, read_bytes, read_text
 from jaxmpc.files.sealed import canonical_json, digest, write_atomic
+from sweeps.engines import engine_of
 from sweeps.goal import SweepGoal
 from sweeps.machine import environment
 from sweeps.plan import SCHEMA, Plan
@@ -131,7 +132,7 @@ def prepare(folder: Path, plan: Plan, environments: Sequence[Mapping[str, str]] 
     known = there.get("environments", [])
     if not isinstance(known, list):
         raise InputError("environments", known, "a list", "The manifest was changed by hand.", folder / "manifest.json")
-    new = [dict(each) for each in (environments or [environment()]) if each not in known]
+    new = [dict(each) for each in (environments or [environment(engine_of(plan))]) if each not in known]
     goal = msgspec.to_builtins(plan.goal)
     if new or there.get("goal") != goal:
         if new and known:

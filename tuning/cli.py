@@ -7,6 +7,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxmpc.terminal.arguments import engine_argument
+
 if TYPE_CHECKING:
     from tuning import TuneSpec
 
@@ -23,6 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--limit", action="store_true", help="also how far it is from the best of all linear laws (extra `limit`)"
     )
+    engine_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
@@ -35,6 +38,8 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
+    from jaxmpc.engine.registry import named
+    from jaxmpc.engine.scenario import program_spec
     from jaxmpc.files.errors import InputError, nearest, plain_name
     from jaxmpc.files.outputs import check_folder
     from jaxmpc.files.sealed import write_atomic
@@ -51,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
     args.out = args.out or Path("runs") / plain_name("the job's name", path.stem)
     check_folder("-o", args.out)
     spec = TuneSpec.from_toml(path)
+    named(program_spec(spec.experiment), args.engine, "reverse")
     if args.limit:
         # Sooner than after an hour of tuning.
         solver()

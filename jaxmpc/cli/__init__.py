@@ -38,7 +38,7 @@ VERBS = {
     ),
     "check": Verb("deploy.cli.check", "replay a frozen controller's golden trace, print its limits and margins"),
     "sign": Verb("deploy.cli.sign", "say with an Ed25519 key who froze a controller"),
-    "doctor": Verb("deploy.cli.doctor", "is this machine, its bus and its clock fit to run a controller?"),
+    "doctor": Verb("jaxmpc.cli.doctor", "are this machine, its bus and its clock fit to run a controller? its engines"),
     "twin": Verb(
         "deploy.twin.cli",
         "a simulated WAM with pendant, force sensor and beating heart that speaks the arm's CAN protocol",

@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxmpc.terminal.arguments import engine_argument
 from jaxmpc.terminal.progress import said_after
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="a params.toml, or a published set: text, printed, mpc-alone, cautious, family (text)",
     )
     parser.add_argument("--physics", choices=("linear", "wam", "mjx"), help="contact loop, arm, or arm on stock MJX")
+    engine_argument(parser)
     parser.add_argument("--compare", action="store_true", help="also run the AOB alone and the MPC alone")
     parser.add_argument(
         "--video", nargs="?", const="", metavar="FILE.mp4", help="film of the arm (NAME.mp4 beside the figures)"
@@ -41,11 +43,14 @@ def run(args: argparse.Namespace) -> int:
     use_all_cores()
     from jaxmpc import Status
     from jaxmpc.cli import comparison
+    from jaxmpc.engine.registry import named
+    from jaxmpc.engine.scenario import program_spec
     from jaxmpc.pictures.film import check_film, film
 
     params, experiment = params_from(args.params), _with_physics(experiment_from(args.experiment), args.physics)
     folder: Path = args.output or Path("runs") / f"{experiment.name}-{_label(args.params, params)}"
     check_folder("-o", folder)
+    named(program_spec(experiment), args.engine, traced=True)
     others = comparison.parts(params) if args.compare else {}
     filmed = None
     if args.video is not None:

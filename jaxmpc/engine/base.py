@@ -70,6 +70,9 @@ class Engine(ABC):
         precisions: Those of the time stepping.
         devices: Backends of JAX that it runs on.
         integrators: Those of the arm.
+        physics: Those of an experiment.
+        traces: Whether it keeps samples.
+        text: What it is, in a few words.
     """
 
     name: ClassVar[str]
@@ -77,6 +80,14 @@ class Engine(ABC):
     precisions: ClassVar[tuple[str, ...]] = ("float64", "float32")
     devices: ClassVar[tuple[str, ...]] = ("cpu", "gpu")
     integrators: ClassVar[tuple[str, ...]] = ("leapfrog", "euler")
+    physics: ClassVar[tuple[str, ...]] = ("linear", "wam")
+    traces: ClassVar[bool] = True
+    text: ClassVar[str]
+
+    def unfit(self) -> str:
+        """Why this machine cannot run it; empty where it can."""
+        backend = jax.default_backend()
+        return "" if backend in self.devices else f"needs a {' or '.join(self.devices)}; JAX finds only a {backend}"
 
     @abstractmethod
     def simulate(

@@ -31,6 +31,8 @@ class Kernel(Engine):
     name = "kernel"
     modes: ClassVar[tuple[Mode, ...]] = ()
     devices = ("gpu",)
+    traces = False
+    text = "whole episodes in one kernel"
 
     def simulate(
         self,

@@ -26,6 +26,13 @@ class Mjx(Engine):
 
     name = "mjx"
     integrators = ("euler",)
+    physics = ("mjx",)
+    text = "the arm on stock MJX"
+
+    def unfit(self) -> str:
+        """See `Engine.unfit`."""
+        crashes = jax.__version__ == CRASHES and jax.default_backend() == "cpu" and jax.local_device_count() > 1
+        return f"needs another version of jax than {CRASHES}, which crashes on it" if crashes else super().unfit()
 
     def simulate(
         self,
@@ -43,7 +50,7 @@ class Mjx(Engine):
             InputError: This version of JAX would crash.
         """
         del contacts
-        if jax.__version__ == CRASHES and jax.default_backend() == "cpu" and jax.local_device_count() > 1:
+        if self.unfit():
             remedy = 'Take another version of jax, or physics = "wam", which agrees with it.'
             raise InputError("physics", "mjx", f"another one with jax {CRASHES}, which crashes on it", remedy)
         gains = scalars(gains, spec.preview)

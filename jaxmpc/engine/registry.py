@@ -1,4 +1,4 @@
-"""Every engine by its name, and the one for a program."""
+"""Every engine by its name, the one for a program, and whether one that somebody names can take its place."""
 
 import jax
 
@@ -27,6 +27,42 @@ def choose(spec: ProgramSpec, mode: Mode | None = None) -> Engine:
     if mode is not None and mode not in engine.modes:
         raise InputError("engine", spec.engine, f"able to differentiate in {mode} mode", "Take another physics.")
     return engine
+
+
+def named(spec: ProgramSpec, name: str | None, mode: Mode | None = None, *, traced: bool = False) -> ProgramSpec:
+    """The same program on the engine that somebody names, if it can run it here.
+
+    Args:
+        spec: Structure of the program.
+        name: Of the engine; None leaves the program as it is.
+        mode: How it is going to be differentiated; None not at all.
+        traced: Whether samples are wanted.
+
+    Raises:
+        InputError: It is unknown, or this is another physics, another machine, or nothing that it can do.
+    """
+    if name is None:
+        return spec
+    if name not in ENGINES:
+        raise InputError("--engine", name, "a known one", nearest(name, list(ENGINES)))
+    engine, physics = ENGINES[name], _physics(spec)
+    others = [other.name for other in ENGINES.values() if physics in other.physics and not other.unfit()]
+    remedy = f'Here {" or ".join(others) or "no engine"} runs physics = "{physics}"; left out, the choice is ours.'
+    if physics not in engine.physics:
+        raise InputError("--engine", name, f'one for physics = "{physics}"', remedy)
+    if why := engine.unfit():
+        raise InputError("--engine", name, f"one that runs on this machine ({name} {why})", remedy)
+    if mode is not None and mode not in engine.modes:
+        raise InputError("--engine", name, f"able to differentiate in {mode} mode", "Take --engine scan.")
+    if traced and not engine.traces:
+        raise InputError("--engine", name, "one that keeps samples", "Take --engine scan.")
+    return spec._replace(engine=name)
+
+
+def _physics(spec: ProgramSpec) -> str:
+    if spec.robot is None:
+        return "linear"
+    return "mjx" if spec.engine == "mjx" else "wam"
 
 
 def fastest(spec: ProgramSpec) -> ProgramSpec:

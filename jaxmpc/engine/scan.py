@@ -19,6 +19,7 @@ class Scan(Engine):
     """Time as `jax.lax.scan`, each step's intermediate values shared."""
 
     name = "scan"
+    text = "a scan over time"
 
     def simulate(
         self,

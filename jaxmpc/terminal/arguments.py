@@ -1,5 +1,6 @@
 """Arguments that several verbs share: a published name or a file."""
 
+import argparse
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +10,14 @@ from jaxmpc.files.errors import InputError
 if TYPE_CHECKING:
     from jaxmpc.experiment import Experiment
     from jaxmpc.synthesis.params import Params
+
+ENGINES = ("scan", "kernel", "mjx")
+"""Names of `jaxmpc.engine.registry`, which takes a second to import."""
+
+
+def engine_argument(parser: argparse._ActionsContainer) -> None:
+    """Add --engine."""
+    parser.add_argument("--engine", choices=ENGINES, help="what runs the loops (default: the fastest here, see doctor)")
 
 
 def params_from(text: str) -> "Params":

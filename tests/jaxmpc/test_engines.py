@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from jaxmpc import Params, evaluate
+from jaxmpc.cli.doctor import engine_lines
 from jaxmpc.closed_loops import close_loops
-from jaxmpc.engine.registry import ENGINES, choose, fastest
+from jaxmpc.engine.registry import ENGINES, choose, fastest, named
 from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
 from jaxmpc.files.errors import InputError
+from jaxmpc.terminal import arguments
 from tests.jaxmpc.arm_tables import TABLE, changed
 
 BRIEF = changed(with_physics(TABLE, "mjx"), duration=0.05, settle=0.02, stiffness=(810.0,), reference={"z": -1.0})
@@ -74,3 +76,34 @@ def test_stock_mjx_is_refused_where_the_compiler_would_crash(monkeypatch: pytest
     monkeypatch.setattr(jax, "local_device_count", lambda: 2)
     with pytest.raises(InputError, match=r"physics = mjx.*0\.11\.2.*wam"):
         evaluate(Params(), BRIEF)
+
+
+def test_an_engine_is_named_for_what_it_can_do_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm, mjx = program_spec(TABLE), program_spec(BRIEF)
+    assert tuple(ENGINES) == arguments.ENGINES
+    assert named(arm, None) == arm == named(arm, "scan", "reverse", traced=True)
+    assert named(mjx, None) == mjx
+    for spec, name, why in ((arm, "kernel", "gpu"), (arm, "mjx", "wam"), (mjx, "scan", "mjx"), (arm, "skan", "scan")):
+        with pytest.raises(InputError, match=rf"--engine = {name}: .*{why}"):
+            named(spec, name)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert named(arm, "kernel") == fastest(arm)
+    assert named(arm, "scan") == arm
+    with pytest.raises(InputError, match="reverse"):
+        named(arm, "kernel", "reverse")
+    with pytest.raises(InputError, match="keeps samples"):
+        named(arm, "kernel", traced=True)
+
+
+def test_doctor_says_of_each_engine_where_it_would_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    title, *lines = engine_lines()
+    assert title == "engines"
+    assert [line.split()[0] for line in lines] == list(ENGINES)
+    assert "sweep, tune, trials, simulate" in lines[0]
+    assert "not here, it needs a gpu" in lines[1]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    lines = engine_lines()[1:]
+    assert "worlds of their own" in lines[0]
+    assert "sweep, the fastest here" in lines[1]
+    monkeypatch.setattr("jaxmpc.cli.doctor.find_spec", lambda name: None)
+    assert "jaxmpc[sim]" in engine_lines()[0]

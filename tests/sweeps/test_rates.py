@@ -14,11 +14,12 @@ import pytest
 from sweeps import rates
 from sweeps.blocks import block_of, padded
 from sweeps.compiling import Compiling, so_far
+from sweeps.engines import Devices
 from sweeps.pace import Pace
 from sweeps.plan import Plan, make_plan
 from sweeps.spec import SweepSpec
 
-DEVICES, PER_ROW, START, COMPILE = 2, 0.01, 2.0, 10.0
+DEVICES, PER_ROW, START, COMPILE = Devices(2, "a processor"), 0.01, 2.0, 10.0
 
 
 @pytest.fixture
@@ -34,7 +35,7 @@ def longer(spec: SweepSpec) -> Plan:
 
 def paced(plan: Plan, compiling: Compiling, start: float = START) -> Pace:
     """Of a run whose first round started and compiled."""
-    width = block_of(plan) * DEVICES
+    width = block_of(plan) * DEVICES.number
     pace = Pace(None, width, plan.largest_chunk)
     pace.tell(width, PER_ROW * width + start + compiling.spent, compiling)
     for _ in range(3):
@@ -43,7 +44,7 @@ def paced(plan: Plan, compiling: Compiling, start: float = START) -> Pace:
 
 
 def seconds(plan: Plan, per_row: float = PER_ROW) -> float:
-    return per_row * padded(plan, DEVICES, 0, len(plan.rows))
+    return per_row * padded(plan, DEVICES.number, 0, len(plan.rows))
 
 
 def test_what_was_compiled_before_is_loaded(plan: Plan, longer: Plan, tmp_path: Path) -> None:

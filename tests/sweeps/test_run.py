@@ -30,9 +30,11 @@ from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps import chunks as stored
-from sweeps import cluster, store
+from sweeps import cluster, rates, store
 from sweeps.blocks import padded
 from sweeps.compute import begin, compute
+from sweeps.engines import Devices, devices
+from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan, make_plan
 from sweeps.result import Result
 from sweeps.run import run
@@ -303,6 +305,42 @@ def test_a_dry_run_writes_nothing(
     ):
         assert words in said
     assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]
+
+
+def test_an_engine_is_named_on_the_command_line_and_in_the_environment(
+    spec_text: str,
+    write_spec: Callable[[str], Path],
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    finished: Finished,
+    tmp_path: Path,
+) -> None:
+    path = write_spec(spec_text)
+    for engine, why in (("kernel", "needs a gpu"), ("mjx", "linear")):
+        assert command("sweep", path, "-o", tmp_path / "run", "--engine", engine) == 2
+        assert why in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+    assert command("sweep", path, "-o", tmp_path / "run", "--engine", "scan", "--quiet") == 0
+    assert finished[1].hash in capsys.readouterr().out
+    (environment,) = json.loads((tmp_path / "run" / "manifest.json").read_text())["environments"]
+    assert environment["engine"] == "scan"
+
+
+def test_rates_are_of_the_device_and_engine_that_will_run(spec: SweepSpec, tmp_path: Path) -> None:
+    plan, file, pace = make_plan(spec), tmp_path / "rates.json", Pace(None, 256, 10_000)
+    pace.tell(256, 9.0)
+    pace.tell(256, 1.0)
+    here = devices(2)
+    rates.record(plan, pace, here, file)
+    found = rates.estimate(plan, here, where=file)
+    assert found is not None
+    assert found.rate == 256.0
+    for other in (Devices(1, "NVIDIA H100"), Devices(4, here.kind)):
+        assert rates.estimate(plan, other, where=file) is None
+    on_kernel = Plan(plan.canonical, plan.files, plan.goal, "kernel")
+    assert pickle.loads(pickle.dumps(on_kernel)).engine == "kernel"
+    assert on_kernel.spec_hash == plan.spec_hash
+    assert rates.estimate(on_kernel, here, where=file) is None
 
 
 def test_ctrl_c_keeps_what_is_finished(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.terminal.arguments import engine_argument
 
 if TYPE_CHECKING:
     from jaxmpc.report.content import Table
@@ -41,6 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "paper's, else 300–2200 N/m",
     )
     parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of table, report and finished blocks")
+    engine_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
@@ -50,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: A controller, the experiment, a number or the folder is wrong; nothing has been written by then.
     """
+    from jaxmpc.engine.registry import named
+    from jaxmpc.engine.scenario import program_spec
     from jaxmpc.files.outputs import check_folder
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.process import use_all_cores
@@ -63,7 +67,8 @@ def run(args: argparse.Namespace) -> int:
     names = [text for text, *_ in given]
     names = names if len(set(names)) == len(names) else [names[0], f"{names[1]} (2)"]
     base = experiment_from(args.experiment)
-    job = Job(controllers, base, on_own_tissues(HARD if args.hard else NOMINAL, base), args.seed)
+    job = Job(controllers, base, on_own_tissues(HARD if args.hard else NOMINAL, base), args.seed, args.engine)
+    named(program_spec(job.base), args.engine)
     check_folder("-o", args.out)
     if not 1 <= args.trials <= MOST:
         raise InputError("--trials", args.trials, f"in [1, {MOST}]", "10000 is usual.")

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxmpc.engine.registry import named
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment.build import robot_on_its_tissue
 from jaxmpc.loop.arm import ArmSignals
@@ -132,7 +133,7 @@ def _as_a_maker() -> None:
 
 def _programs(job: Job, constants: _Constants, size: int) -> list[_Program]:
     base = job.trial(0)
-    run = wave_program(program_spec(base), constants.varied, constants.structure, size * drawn.POOL)
+    run = wave_program(named(program_spec(base), job.engine), constants.varied, constants.structure, size * drawn.POOL)
     programs = []
     for members in by_structure(job.controllers):
         batch = Params.stack([job.controllers[i] for i in members])

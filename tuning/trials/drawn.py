@@ -67,6 +67,7 @@ class Job:
         base: An experiment on the arm; its duration, settling time and stiffness are the trials' own.
         spread: How far reality may lie from it.
         seed: Draws other trials.
+        engine: Which one runs them; None is the scan.
 
     Raises:
         InputError: The experiment is not on the arm ("wam"), or the seed is out of bounds.
@@ -76,6 +77,7 @@ class Job:
     base: Experiment
     spread: Spread = NOMINAL
     seed: int = 0
+    engine: str | None = None
 
     def __post_init__(self) -> None:
         if self.base.physics != "wam":
@@ -91,7 +93,8 @@ class Job:
         """sha256 of all that the outcome of a trial depends on."""
         controllers = [params.to_dict() for params in self.controllers]
         spread = msgspec.to_builtins(self.spread)
-        return digest([controllers, self.base.to_dict(), spread, self.seed, POOL, COPIES])
+        other = [self.engine] if self.engine not in (None, "scan") else []
+        return digest([controllers, self.base.to_dict(), spread, self.seed, POOL, COPIES, *other])
 
     def trial(self, number: int) -> Experiment:
         """The experiment of a trial."""
