@@ -1,4 +1,4 @@
-"""How many rows are taken at once: as many as take a few seconds, as measured on the way; and how many a file holds."""
+"""How many rows are taken at once, as many as take a few seconds; and how many a file holds."""
 
 from sweeps.compiling import Compiling
 
@@ -22,7 +22,7 @@ class Pace:
         """Rows of a chunk file, and of what is taken at once."""
         self.first_s = self.seconds = 0.0
         self.compiling = Compiling()
-        """Of the first round."""
+        """What the first round compiled."""
         self.rounds = self.rows = 0
         """Rounds so far, and the padded rows of all but the first, which may have compiled."""
 
