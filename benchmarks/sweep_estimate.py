@@ -2,7 +2,7 @@
 
 The machine has seen one sweep before, of the same kind and other rows; its rates and programs lie in a cache of the
 benchmark's own, empty at first. Then each case is estimated and run. Wall time, as the estimate is: on a busy machine
-the factor is as noisy as its neighbours.
+the factor is as noisy as its neighbours, so processor time is told beside it.
 """
 
 import argparse
@@ -11,9 +11,9 @@ import re
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
+from benchmarks.sweep_overhead import Spent
 from benchmarks.sweep_throughput import machine
 
 SPEC = """\
@@ -44,29 +44,31 @@ def main() -> None:
     cases = CASES[: parser.parse_args().cases]
     print(machine(), flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        said, _ = swept(Path(folder), SEEN, 0)
-        print(f"seen before: {SEEN[0]} rows of {SEEN[1]:g} s, {number(TOOK, said):.1f} s")
+        said, _, used = swept(Path(folder), SEEN, 0)
+        print(f"seen before: {SEEN[0]} rows of {SEEN[1]:g} s, {number(TOOK, said):.1f} s, {used:.1f} s of processor")
         for seed, case in enumerate(cases, 1):
-            foretold, took = swept(Path(folder), case, seed, "--dry-run")
+            foretold, took, dry = swept(Path(folder), case, seed, "--dry-run")
             estimate = number(ESTIMATE, foretold)
-            said, _ = swept(Path(folder), case, seed)
+            said, _, used = swept(Path(folder), case, seed)
             real = number(TOOK, said)
             print(
-                f"{case[0]} rows of {case[1]:g} s: foretold {estimate:.0f} s, took {real:.1f} s,"
-                f" factor {max(estimate / real, real / estimate):.2f}; the dry run itself took {took:.2f} s",
+                f"{case[0]} rows of {case[1]:g} s: foretold {estimate:.0f} s,"
+                f" took {real:.1f} s ({used:.1f} s of processor), factor {max(estimate / real, real / estimate):.2f};"
+                f" the dry run took {took:.2f} s ({dry:.2f} s)",
                 flush=True,
             )
 
 
-def swept(folder: Path, case: tuple[int, float], seed: int, *more: str) -> tuple[str, float]:
-    """What the command says, and how long it takes [s]."""
+def swept(folder: Path, case: tuple[int, float], seed: int, *more: str) -> tuple[str, float, float]:
+    """What the command says, how long it takes, and of that processor time, imports included [s]."""
     spec = folder / f"{seed}.toml"
     spec.write_text(SPEC.format(rows=case[0], seconds=case[1], seed=seed))
     line = [sys.executable, "-m", "jaxmpc", "sweep", str(spec), "-o", str(folder / f"{seed}"), "--quiet", *more]
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
-    began = time.perf_counter()
+    began = Spent.now()
     done = subprocess.run(line, env=environment, capture_output=True, text=True, check=True)
-    return done.stdout, time.perf_counter() - began
+    took = Spent.now().plus(began, -1)
+    return done.stdout, took.wall, took.processor
 
 
 def number(pattern: str, text: str) -> float:
