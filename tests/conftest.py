@@ -1,5 +1,6 @@
 """Settings of every test; the robot's tests run where neither jax nor hypothesis is installed."""
 
+import gc
 import os
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -21,8 +22,11 @@ if find_spec("jax"):
     jax.config.update("jax_compilation_cache_dir", os.environ["TEST_PROGRAMS"])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
+    # Tests compile more than they run: optimised, programs of the arm take a third longer, of its gradients two thirds.
+    # Commands in processes of their own are compiled as a user's are.
+    jax.config.update("jax_disable_most_optimizations", True)
     if jax.__version_info__ < (0, 11):
-        # Tests compile more than they run, and this XLA takes twice as long without its older code generator.
+        # This XLA takes twice as long without its older code generator.
         os.environ["XLA_FLAGS"] = "--xla_cpu_use_fusion_emitters=false " + os.environ.get("XLA_FLAGS", "")
     jax.config.update("jax_enable_x64", True)
     # As the command line does: one device compiles to other last bits than several.
@@ -42,6 +46,13 @@ if find_spec("hypothesis"):
     # No deadline: a first example compiles. Derandomised: the same tree gives the same verdict.
     hypothesis.settings.register_profile("jaxmpc", deadline=None, derandomize=True, database=None)
     hypothesis.settings.load_profile("jaxmpc")
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage seldom, and not among what is imported: tracing makes millions of objects that are none."""
+    gc.set_threshold(100_000, 20, 20)
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
