@@ -4,6 +4,7 @@ project = "jaxmpc"
 extensions = ["myst_nb"]
 html_theme = "furo"
 html_title = "jaxmpc"
+html_show_copyright = False
 exclude_patterns = ["build"]
 nb_execution_mode = "off"  # tests/docs/test_site.py runs the notebook; the site shows what it left
 myst_heading_anchors = 3

@@ -1,7 +1,25 @@
-"""`python -m jaxmpc`."""
+"""`jaxmpc` and `python -m jaxmpc`: a process for one verb."""
 
+import os
 import sys
+from typing import NoReturn
 
 from jaxmpc.cli import main
 
-sys.exit(main())
+
+def program() -> NoReturn:
+    """Run a verb and end with its exit code.
+
+    An interrupted one ends at once: threads that still compile would be waited for, or would meet an interpreter that
+    is being taken down, and crash. Files are written whole or not at all, so that nothing is left to be done.
+    """
+    code = main()
+    if code == 130:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    program()

@@ -14,6 +14,8 @@ WIDTH = 100
 """Columns of a line at most."""
 MOST = 6
 """Values that are written out; of more, the least and the largest."""
+CELL = "<td style='padding: 0 .6em; text-align: left'>"
+"""How a cell of a notebook's table begins; a page that is made of a notebook brings no style for it."""
 
 
 class Line(NamedTuple):
@@ -36,7 +38,7 @@ def as_text(title: str, lines: Sequence[Line]) -> str:
 
 def as_html(title: str, lines: Sequence[Line]) -> str:
     """The same as a table for a notebook."""
-    rows = "".join(f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in line)}</tr>" for line in lines)
+    rows = "".join(f"<tr>{''.join(f'{CELL}{html.escape(cell)}</td>' for cell in line)}</tr>" for line in lines)
     return f"<table><caption>{html.escape(title)}</caption>{rows}</table>"
 
 

@@ -3,12 +3,12 @@
 The public function is `jaxmpc.evaluate`; the module has another name so that importing it does not hide it.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
 
+from jaxmpc.beside import Beside
 from jaxmpc.closed_loops import Outcome, close_loops, margins_of, outcome_of, run_loops
 from jaxmpc.engine.base import CellResults
 from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
@@ -82,7 +82,7 @@ def evaluate(
     else:
         # Compiling is most of a first call, and the two programs compile side by side; the longer one begins.
         _judge.trace(loops, ideal=scene.path.ideal)
-        with ThreadPoolExecutor(1) as beside:
+        with Beside(1) as beside:
             pending = beside.submit(judge)
             run = _run(loops, scene, world=world, dtype=precision, traced=trace)
             margins = pending.result()

@@ -20,6 +20,8 @@ __all__ = ["configure", "run"]
 
 ACTIVATED = 200
 """Cycles after which the twin's pendant is pressed in lock-step."""
+TOLD_EVERY = 10.0
+"""Seconds in contact after which a flight against the twin says how far it is."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -119,7 +121,7 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     each: Callable[[Any], Any] = operator.each
     told: Callable[[bool], list[str]] | None = None
     if args.lockstep:
-        each, told = _watched(args, clock, session, operator.each)
+        each, told = _watched(args, clock, session, operator.each, console.say)
     signals.begin()
     try:
         ended = session.run(operator.command, watchdog, each)
@@ -159,7 +161,7 @@ def _twin(args: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def _watched(
-    args: argparse.Namespace, clock: Any, session: Any, each: Callable[[Any], Any]
+    args: argparse.Namespace, clock: Any, session: Any, each: Callable[[Any], Any], say: Callable[[str], None]
 ) -> tuple[Callable[[Any], Any], Callable[[bool], list[str]]]:
     """Somebody at the twin's pendant, who activates it once it is armed, and what the twin tells of true forces."""
     from deploy.safety.machine import OperatingState
@@ -168,14 +170,19 @@ def _watched(
 
     twin, controller = clock.twin, session.controller
     residuals, peaks = FlownResiduals(), PeakForces()
+    due = TOLD_EVERY
     clock.every_tick = lambda now: peaks.add_true(now.truth().force)
 
     def watched(result: Any) -> Any:
+        nonlocal due
         now = result.safety_state
         if now.state is OperatingState.ARMED and now.cycles == ACTIVATED:
             twin.press("activate")
         if now.state is OperatingState.CONTACT:
             residuals.add(controller.contact_time, controller.force_ref, result.force, twin.truth().force)
+            if controller.contact_time >= due:
+                say(f"{due:g} of {args.duration:g} s in contact")
+                due += TOLD_EVERY
         peaks.add_measured(result.force)
         return each(result)
 

@@ -14,6 +14,7 @@ from deploy.controller.artifact import Artifact
 from deploy.controller.runtimes import arm_runtime
 from deploy.flight.recorder import COLUMNS, FlightRecording, RecordingError
 from jaxmpc.law.recorded import RecordedInputs
+from jaxmpc.terminal import layout
 
 INPUTS = ("time", "q", "qd", "force", "force_ref", "applied", "a", "state", "position_age")
 COMPARED: Mapping[str, str] = {
@@ -220,12 +221,12 @@ def compare(
 
 def table(title: str, rows: list[Difference]) -> str:
     """The differences as text."""
-    lines = [f"{title}\n  {'signal':<10}{'samples':>8}{'largest':>12}{'at [s]':>10}{'allowed':>12}   parts"]
+    lines = []
     for row in rows:
         at = f"{row.at:.3f}" if row.samples else "-"
         parts = f"at {row.first:.3f} s by {row.by:.3g} {row.unit}" if row.parts else "no" if row.samples else "-"
-        lines.append(f"  {row.signal:<10}{row.samples:>8}{row.largest:>12.3g}{at:>10}{row.tolerance:>12.3g}   {parts}")
-    return "\n".join(lines)
+        lines.append([row.signal, str(row.samples), f"{row.largest:.3g}", at, f"{row.tolerance:.3g}", parts])
+    return f"{title}\n{layout.table(['signal', 'samples', 'largest', 'at [s]', 'allowed', 'parts'], lines)}"
 
 
 def _windows(force_ref: np.ndarray, contact: np.ndarray, ahead: int) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from jaxmpc.files.errors import InputError, nearest, plain
 from jaxmpc.terminal.folding import folded_output
+from jaxmpc.terminal.interruption import always_heard
 from jaxmpc.terminal.parser import CommandParser
 
 
@@ -67,18 +68,27 @@ _WRONG_INPUT = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; exit code 0: done, 1: the job failed, 2: wrong input, 130: interrupted, 141: nobody reads."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that cannot show ≤ shows ?; it is no reason to stop.
+        if reconfigure := getattr(stream, "reconfigure", None):
+            reconfigure(errors="replace")
+    with folded_output(), always_heard():
+        return _main(argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
     argv = list(sys.argv[1:] if argv is None else argv)
     chosen = next((word for word in argv if not word.startswith("-")), None)
-    parser = _parser([chosen])
-    if chosen is None:
+    if chosen not in VERBS:
+        parser = _parser([])
+        if chosen is not None:
+            parser.error(f"{plain(chosen, 80)}: must be a verb. {nearest(chosen, list(VERBS))}")
         parser.check_options(argv)
         parser.parse_args(argv)
         parser.print_help()
         return 0
-    if chosen not in VERBS:
-        parser.error(f"{plain(chosen, 80)}: must be a verb. {nearest(chosen, list(VERBS))}")
     try:
-        return _run(chosen, parser, argv)
+        return _run(chosen, argv)
     except InputError as error:
         return _told(chosen, f"{error}", 2)
     except ModuleNotFoundError as error:
@@ -100,15 +110,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _told(chosen, "there is not enough memory for it", 1)
 
 
-def _run(verb: str, parser: CommandParser, argv: Sequence[str]) -> int:
-    for stream in (sys.stdout, sys.stderr):
-        # A terminal that cannot show ≤ shows ?; it is no reason to stop.
-        if reconfigure := getattr(stream, "reconfigure", None):
-            reconfigure(errors="replace")
-    args = parser.parse_args(argv)
-    with folded_output():
-        code = int(import_module(VERBS[verb].module).run(args))
-        sys.stdout.flush()
+def _run(verb: str, argv: Sequence[str]) -> int:
+    args = _parser([verb]).parse_args(argv)
+    code = int(import_module(VERBS[verb].module).run(args))
+    sys.stdout.flush()
     return code
 
 

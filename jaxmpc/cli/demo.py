@@ -3,12 +3,12 @@
 import argparse
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxmpc.beside import Beside
 from jaxmpc.cli.demo_summary import SETTLE, STIFFNESS, Arm, band, errors, millinewtons, summary, worst_tables
 from jaxmpc.files.sealed import write_atomic
 
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     folder: Path = args.output
     check_folder("-o", folder)
     folder.mkdir(parents=True, exist_ok=True)
-    with ThreadPoolExecutor(1) as beside:
+    with Beside(1) as beside:
         # What takes longest is compiling, which goes on beside the rest.
         simulated = beside.submit(_on_arm)
         frozen = beside.submit(lambda: _freeze(folder, simulated.result()))

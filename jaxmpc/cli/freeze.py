@@ -70,7 +70,11 @@ def run(args: argparse.Namespace) -> int:
     loop = "ideal loop" if args.ideal else "loop as it runs"
     worst = max(row["M_s"] for row in artifact.margins)
     print(f"frozen: {args.output} ({args.output.stat().st_size} bytes), K_s {len(artifact.margins)} values, {loop}")
-    print(f"worst M_s {worst:.3f}, floor {artifact.floor}")
+    kept = ", ".join(
+        f"{MARGINS[name].heading} {MARGINS[name].sign} {MARGINS[name].entry(value)}"
+        for name, value in artifact.floor.items()
+    )
+    print(f"worst M_s {worst:.3f}, margin floor {kept}")
     if artifact.arm is not None:
         limit = artifact.arm.limits.force
         print(f"drives a {artifact.arm.robot}; a force above {limit:g} N ends the run (docs/robot.md)")

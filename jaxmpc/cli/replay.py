@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxmpc.files.errors import InputError, plain
+from jaxmpc.terminal.progress import said_after
 
 if TYPE_CHECKING:
     from deploy.flight.recorder import FlightRecording
@@ -53,11 +54,13 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--artifact", args.artifact, "the controller that flew", f"{error}.") from None
 
     _introduce(recording, inputs)
-    again = {"runtime": through_runtime(inputs, artifact)}
+    with said_after(f"the runtime computes {len(inputs.time)} samples anew …"):
+        again = {"runtime": through_runtime(inputs, artifact)}
     if find_spec("jax"):
         from jaxmpc.export.replay import replay_law
 
-        again["simulator's law"] = replay_law(*flown_controller(artifact), inputs)
+        with said_after(f"the simulator's law computes {len(inputs.time)} samples anew …"):
+            again["simulator's law"] = replay_law(*flown_controller(artifact), inputs)
     else:
         print("simulator's law: not compared, jax is not installed here")
     rows = {name: compare(recording, inputs, signals, args.tolerance) for name, signals in again.items()}

@@ -1,11 +1,11 @@
 """`jaxmpc simulate`: one experiment, its tables, its figures and, on the arm, its film."""
 
 import argparse
-from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxmpc.beside import Beside
 from jaxmpc.terminal.arguments import engine_argument
 from jaxmpc.terminal.progress import said_after
 
@@ -97,7 +97,7 @@ def with_heart_still(params: "Params", experiment: "Experiment") -> tuple["Outco
     if experiment.motion.kind == "none":
         outcome = simulated(params, experiment, traced=True)
         return outcome, outcome
-    with said_after(_compiling(params, experiment)), ThreadPoolExecutor(1) as beside:
+    with said_after(_compiling(params, experiment)), Beside(1) as beside:
         outcome = evaluate(params, experiment, trace=True)
         # Now compiled, but still running; what another thread asks of JAX runs on another core meanwhile.
         still = beside.submit(evaluate, params, without_motion(experiment), trace=True)

@@ -1,7 +1,6 @@
 """Parameters → a sealed controller for the robot: design, margins and simulation here, its checks in `deploy`."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from deploy.controller.judged_loop import JudgedLoop
 from deploy.controller.limits import Limits
 from deploy.controller.margin_floor import check, plain_floor
 from jaxmpc import __version__, design, margins
+from jaxmpc.beside import Beside
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.build import robot_of
 from jaxmpc.export.golden import ArmRun, arm_law_trace, law_trace, simulated_arm_runs, simulated_run
@@ -82,7 +82,7 @@ def freeze_controller(
     arm = nominal_arm(experiment, limits) if on_arm else None
     loop = experiment.loop_path(ideal)
     # Compiling is most of both, and goes on side by side.
-    with ThreadPoolExecutor(1) as beside:
+    with Beside(1) as beside:
         pending = None if params.listening is None else beside.submit(_family, params, loop)
         rows = _rows(params, experiment, loop)
         family = None if pending is None else pending.result()

@@ -13,6 +13,8 @@ from jaxmpc.quantities import AXES
 
 SHADES = {"approach": "#e8c468", "contact": "#9fd3c7", "retract": "#b8b8d1", "fault": ACCENT}
 """Background of a state; the others have none."""
+ROOM = 0.05
+"""Share of the picture's width that a state's name takes."""
 
 
 def recording_figure(
@@ -44,7 +46,6 @@ def recording_figure(
         torques.set_ylabel("torque [N m]")
         guard.plot(*outline(t, signals["gain"][:, 0]), color=TUNED, lw=1.0, label="gain left by the guard")
         guard.set_ylim(-0.05, 1.05)
-        guard.set_ylim(-0.05, 1.05)
         guard.set_ylabel("gain [-]")
         if "stiffness" in signals and np.any(signals["stiffness"] > 0.0):
             believed = guard.twinx()
@@ -74,13 +75,15 @@ def _state(signals: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]
 
 
 def _shade(panel: Any, t: np.ndarray, state: np.ndarray, *, named: bool) -> None:
-    """Stretches of the same state, named once each."""
+    """Stretches of the same state, named above them, or in the legend where there is no room."""
     edges = [0, *(np.flatnonzero(state[1:] != state[:-1]) + 1), len(t) - 1]
     for first, last in pairwise(edges):
         name = str(state[first])
-        panel.axvspan(t[first], t[last], color=SHADES.get(name, "white"), alpha=0.25, lw=0.0)
+        span = panel.axvspan(t[first], t[last], color=SHADES.get(name, "white"), alpha=0.25, lw=0.0)
         # A name that has no room would lie over its neighbour's.
-        if named and t[last] - t[first] > 0.05 * (t[-1] - t[0]):
+        if named and t[last] - t[first] <= ROOM * (t[-1] - t[0]):
+            span.set_label(name if name in SHADES and name not in panel.get_legend_handles_labels()[1] else "")
+        elif named:
             middle = 0.5 * (t[first] + t[last])
             where = panel.get_xaxis_transform()
             panel.text(middle, 1.02, name, ha="center", va="bottom", fontsize=8.0, color=BASELINE, transform=where)

@@ -14,6 +14,8 @@ MARKED_HZ = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 """Frequencies that are marked on a Nyquist curve [Hz]."""
 WINDOW = ((-3.0, 1.0), (-2.0, 2.0))
 """What a Nyquist chart shows: real and imaginary part."""
+NOTHING = 1e-9
+"""|L| below which its phase means nothing [-]."""
 SETTLED = 0.05
 """Share of a step within which it counts as settled."""
 
@@ -72,8 +74,9 @@ def loop_charts(title: str, loops: Sequence[LoopCurve], limit: float | None = No
 
 
 def _phase(loop: np.ndarray) -> np.ndarray:
-    """Unwrapped, beginning in (−360°, 0°]."""
+    """Unwrapped, beginning in (−360°, 0°]; none where L is but rounding, as at the Nyquist frequency."""
     phase = np.rad2deg(np.unwrap(np.angle(loop)))
+    phase[np.abs(loop) < NOTHING] = np.nan
     turned: np.ndarray = phase - 360.0 * np.ceil(phase[0] / 360.0)
     return turned
 

@@ -4,7 +4,7 @@ import io
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from typing import TextIO
 
 from jaxmpc.terminal import layout
@@ -12,11 +12,12 @@ from jaxmpc.terminal import layout
 
 @contextmanager
 def folded_output() -> Iterator[None]:
-    """Standard output that folds its lines, where it is a terminal; elsewhere nothing changes."""
-    if not sys.stdout.isatty():
-        yield
-        return
-    with redirect_stdout(Folded(sys.stdout)):
+    """Standard output and errors that fold their lines, each where it is a terminal; elsewhere nothing changes."""
+    with ExitStack() as stack:
+        if sys.stdout.isatty():
+            stack.enter_context(redirect_stdout(Folded(sys.stdout)))
+        if sys.stderr.isatty():
+            stack.enter_context(redirect_stderr(Folded(sys.stderr)))
         yield
 
 
@@ -34,7 +35,7 @@ class Folded(io.TextIOBase):
         return len(text)
 
     def _line(self, line: str) -> str:
-        width, body = layout.columns_of_output(), line.rstrip("\n")
+        width, body = layout.columns_of(self._stream), line.rstrip("\n")
         indent = len(body) - len(body.lstrip(" "))
         below = "\n" + " " * (indent + 2 if indent < width // 2 else 0)
         out = ""

@@ -8,6 +8,7 @@ import sys
 import textwrap
 import unicodedata
 from collections.abc import Sequence
+from typing import TextIO
 
 GAP = 3
 """Spaces between columns."""
@@ -17,8 +18,13 @@ UNLIMITED = 10**6
 
 def columns_of_output() -> int:
     """Characters in a line of standard output."""
+    return columns_of(sys.stdout)
+
+
+def columns_of(stream: TextIO) -> int:
+    """Characters in a line of a stream."""
     try:
-        return os.get_terminal_size(sys.stdout.fileno()).columns if sys.stdout.isatty() else UNLIMITED
+        return os.get_terminal_size(stream.fileno()).columns if stream.isatty() else UNLIMITED
     except (OSError, ValueError):
         return UNLIMITED
 

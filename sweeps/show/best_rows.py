@@ -51,7 +51,7 @@ def rendered(result: Result, n: int, max_M_s: float | None) -> tuple[list[str], 
     lines = []
     for k, row in enumerate(best["row"]):
         settings = [axis.label(float(best[axis.name][k])) for axis in swept]
-        lines.append([f"{row}", *settings, *(f"{column[k]:.4g}" for column in columns)])
+        lines.append([f"{row}", *settings, *(f"{column[k]:.4g}".replace("inf", "∞") for column in columns)])
     return head, lines
 
 

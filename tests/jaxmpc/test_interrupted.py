@@ -133,3 +133,60 @@ def test_ctrl_c_at_random_moments(desk: Path, name: str, tmp_path: Path) -> None
         for path in {*before, *after}:
             assert after.get(path) in (before.get(path), whole.get(path)), path
     assert 130 in codes
+
+
+DEAF = """
+import gc, signal, sys, time
+from jaxmpc.terminal.interruption import always_heard
+
+def strike(phase, info):
+    gc.callbacks.clear()
+    signal.raise_signal(signal.SIGINT)
+
+gc.callbacks.append(strike)
+try:
+    with always_heard():
+        gc.collect()
+        time.sleep(5.0)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+def test_ctrl_c_is_heard_where_python_can_raise_nothing() -> None:
+    """As JAX's callback of the garbage collector, which is busy for seconds of a tuning job."""
+    ran = subprocess.run([sys.executable, "-c", DEAF], env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
+    assert ran.returncode == 130
+
+
+def test_ctrl_c_ends_the_process_while_a_thread_still_works() -> None:
+    code = """
+import time
+import jaxmpc.__main__ as program
+from jaxmpc.beside import Beside
+
+def main():
+    try:
+        with Beside(1) as beside:
+            beside.submit(time.sleep, 60.0)
+            raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        return 130
+
+program.main = main
+program.program()
+"""
+    variables = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([sys.executable, "-c", code], env=variables, check=False, timeout=30.0)
+    assert ran.returncode == 130
+
+
+def test_ctrl_c_while_a_verb_is_imported_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def struck(name: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jaxmpc.cli.import_module", struck)
+    assert main(["simulate", "short.toml"]) == 130
+    assert capsys.readouterr().err == "jaxmpc simulate: interrupted\n"

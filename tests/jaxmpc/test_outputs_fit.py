@@ -73,7 +73,7 @@ def test_no_number_of_a_verb_is_cut(
 
 @pytest.mark.parametrize("columns", WIDTHS)
 def test_prose_is_folded_between_words(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jaxmpc.terminal.layout.columns_of_output", lambda: columns)
+    monkeypatch.setattr("jaxmpc.terminal.layout.columns_of", lambda _: columns)
     terminal = Terminal()
     out = Folded(terminal)
     sentence = "  " + " ".join(f"{k * 1234.5678:.4f} mN," for k in range(40))

@@ -1,12 +1,5 @@
 """What a user sees at 60, 80 and 120 columns, read from a terminal emulator: no number cut, none torn apart."""
 
-import fcntl
-import os
-import pty
-import struct
-import subprocess
-import sys
-import termios
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +10,7 @@ from jaxmpc.cli.limit import HEADER, PLACE
 from jaxmpc.quantities import MARGINS
 from jaxmpc.terminal import layout
 from jaxmpc.terminal.tables import RESIDUAL_HEADER
-from tests.screen import WIDTHS, shown
+from tests.screen import WIDTHS, on_terminal, shown
 
 TRIALS = ("controller", "RMS N, median", "true", "|e| N, 99 %", "largest", "swing N, median", "95 %", "guard at rest %")
 TABLES = {
@@ -59,28 +52,6 @@ def test_accents_and_wide_characters_take_the_places_that_a_terminal_gives_them(
     assert layout.cells(head) == layout.cells(row) == layout.cells(rule)
 
 
-def on_terminal(columns: int, *command: str, cwd: Path) -> list[str]:
-    """The screen after a command that believes in a terminal."""
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 60, columns, 0, 0))
-    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
-    process = subprocess.Popen(
-        [sys.executable, *command], stdin=theirs, stdout=theirs, stderr=theirs, cwd=cwd,
-        env={**environment, "TERM": "xterm", "PYTHONPATH": str(Path(__file__).parents[2])},
-    )  # fmt: skip
-    os.close(theirs)
-    data = b""
-    while True:
-        try:
-            part = os.read(ours, 65536)
-        except OSError:  # Linux's way to say that the other end is closed
-            break
-        data += part
-    process.wait()
-    os.close(ours)
-    return shown(data, columns)
-
-
 PROGRESS = """
 import time
 from jaxmpc.terminal.progress import progress
@@ -93,8 +64,9 @@ with progress("sweep", 1234567) as tick:
 
 @pytest.mark.parametrize("columns", WIDTHS)
 def test_progress_keeps_its_numbers(columns: int, tmp_path: Path) -> None:
-    lines = on_terminal(columns, "-c", PROGRESS, cwd=tmp_path)
-    text = "\n".join(lines)
+    ran = on_terminal(columns, "-c", PROGRESS, cwd=tmp_path)
+    text = ran.said
+    assert not ran.torn
     for number in ("1234567/1234567", "987654", "1357", "0.02468", "43210", "56789"):
         assert number in text
     assert "…" not in text
@@ -103,9 +75,19 @@ def test_progress_keeps_its_numbers(columns: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("columns", WIDTHS)
 def test_help_and_lists_fit(columns: int, tmp_path: Path) -> None:
     for command in (["list", "experiments", "params"], ["--help"]):
-        lines = on_terminal(columns, "-m", "jaxmpc", *command, cwd=tmp_path)
-        text = " ".join(" ".join(lines).split())
+        ran = on_terminal(columns, "-m", "jaxmpc", *command, cwd=tmp_path)
+        assert not ran.torn
+        text = " ".join(ran.said.split())
         assert "Traceback" not in text
         if command[0] == "list":
             assert "10 mm in 0.3 s along" in text
             assert "from 375 to 1900 N/m at twice" in text
+
+
+@pytest.mark.parametrize("columns", WIDTHS)
+def test_a_mistake_is_told_between_words(columns: int, tmp_path: Path) -> None:
+    wrong = ["trials", "text", "--experiment", f"{'no such ' * 12}1234567890.toml"]
+    ran = on_terminal(columns, "-m", "jaxmpc", *wrong, cwd=tmp_path)
+    assert ran.code == 2
+    assert not ran.torn
+    assert "1234567890" in ran.said

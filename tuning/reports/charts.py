@@ -19,6 +19,8 @@ BEFORE, AFTER, OTHERS = 1, 0, 7
 """Colours: the controller before, the tuned one, starts that did not win."""
 BOTH = ((0, BEFORE, "before"), (1, AFTER, "after"))
 """Index, colour and name of the two controllers."""
+BESIDE = 0.2
+"""Where a bar stands beside the middle of its tissue, in distances between tissues."""
 MOST_LINES = 12
 """Starts that are drawn beside the winner."""
 
@@ -82,7 +84,7 @@ def heldout_charts(result: TuneResult) -> list[Chart]:
             for which, color, label in BOTH:
                 cells = 1e3 * np.asarray(getattr(result.heldout, metric))[which][counted][:, :, a]
                 series.append(Series(label, [], [_median(column) for column in cells.T], color, "bars"))
-                at = np.repeat(np.arange(len(stiffness)), len(cells))
+                at = np.repeat(np.arange(len(stiffness)) + BESIDE * (2 * which - 1), len(cells))
                 series.append(Series(f"{label}, each scenario", at, cells.T.ravel(), color, "dots"))
             charts.append(Chart(f"{title}, {axis}", "", f"residual {title} [mN]", series, categories=places))
     return charts

@@ -38,10 +38,11 @@ def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> 
     rows = -(-count // columns)
     with figure(path, rows, columns, size=(2.6 * columns, 2.4 * rows)) as axes:
         panels = iter(np.ravel(axes))
-        for title, lines in (("score", state.score), ("worst residual RMS [mN]", 1e3 * state.worst)):
+        for title, lines in (("score (less is better)", state.score), ("worst residual RMS [mN]", 1e3 * state.worst)):
             panel = next(panels)
             _lines(panel, lines[:iterations], chosen, title, descent)
             logarithmic(panel)
+            panel.legend()
         for i, name in enumerate(goals):
             panel = next(panels)
             lines = np.where(np.isfinite(state.hard[:iterations, :, i]), state.hard[:iterations, :, i], np.nan)
@@ -81,10 +82,13 @@ def before_after_figure(result: TuneResult, path: Path) -> None:
                     at = places + 0.4 * (which - 0.5)
                     panel.bar(at, middle, 0.36, color=color, label=label)
                     spread = np.stack([middle - low, high - middle])
-                    panel.errorbar(at, middle, spread, fmt="none", ecolor="black", elinewidth=0.8, capsize=2)
+                    said = "every scenario" if which else None
+                    panel.errorbar(
+                        at, middle, spread, fmt="none", ecolor="black", elinewidth=0.8, capsize=2, label=said
+                    )
                 panel.set_xticks(places, [f"{K:g}" for K in stiffness])
             axes[row, 0].set_ylabel(f"residual {title} [mN]")
-            axes[row, 0].set_ylim(top=1.25 * axes[row, 0].get_ylim()[1])
+            axes[row, 0].set_ylim(top=1.35 * axes[row, 0].get_ylim()[1])
         for a in range(3):
             axes[0, a].set_title(f"{AXES[a]} axis")
             axes[1, a].set_xlabel("stiffness [N/m]")
@@ -126,8 +130,12 @@ def _over_scenarios(function: Any, cells: np.ndarray) -> np.ndarray:
 
 
 def _lines(panel: Any, columns: np.ndarray, chosen: np.ndarray, title: str, joined: bool) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     marks = {"ls": "-" if joined else "", "marker": "" if joined else "."}
+    best = columns[np.arange(len(columns)), chosen]
     panel.plot(columns, color=BASELINE, lw=0.6, alpha=0.6, ms=4.0, **marks)
-    panel.plot(columns[np.arange(len(columns)), chosen], color=TUNED, lw=1.6, ms=7.0, **marks)
+    panel.plot(best, color=TUNED, lw=1.6, ms=7.0, label="winner" if joined else "best", **marks)
+    panel.xaxis.set_major_locator(MaxNLocator(5, integer=True))
     panel.set_title(title)
     panel.set_xlabel("iteration")

@@ -19,7 +19,6 @@ def report(result: TuneResult, width: int = layout.UNLIMITED) -> str:
 
 def section_text(section: Section, width: int = layout.UNLIMITED) -> str:
     """One part of it."""
-    lines = [section.title.upper(), *section.sentences]
-    for table in section.tables:
-        lines += [] if table.folded else [layout.table(table.head, table.rows, width)]
+    tables = [layout.table(table.head, table.rows, width) for table in section.tables if not table.folded]
+    lines = [section.title.upper(), *section.sentences, *(["\n\n".join(tables)] if tables else [])]
     return "\n".join(lines) + "\n"

@@ -12,7 +12,6 @@ Source: J. W. Bandler et al., Space Mapping: The State of the Art, IEEE Trans. M
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxmpc.beside import Beside
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.terminal.progress import progress
@@ -83,7 +83,7 @@ def refine(
     if folder is not None:
         state = load(folder, spec.digest, state, name)
     cores = len(jax.local_devices())
-    with progress("tune (mapping)", rounds, "rounds", show) as tick, ThreadPoolExecutor(cores) as pool:
+    with progress("tune (mapping)", rounds, "rounds", show) as tick, Beside(cores) as pool:
         while state.iteration < rounds and not state.stalled(PATIENCE, 0):
             values = problem.evaluate(state.z)
             state.record(values, exact=True, worth=WORTH)

@@ -185,7 +185,7 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> "Table":
         print(f"\nworst trials of {name}")
         for i in ranked(found, c, LISTED):
             largest, status = found.peak_error[i, c].max(), Status(int(found.status[i, c]))
-            print(f"  {i:>6}  {status.name:<9} |e| {number(largest, 2)} N  {draws(job.trial(i))}")
+            print(f"  {i:>6}  {status.name:<11} |e| {number(largest, 2)} N  {draws(job.trial(i))}")
     print()
     margins = [row for name, params in zip(names, job.controllers, strict=True) for row in _margins(name, params, job)]
     show(

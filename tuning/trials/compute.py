@@ -8,7 +8,7 @@ import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from functools import partial
 from itertools import cycle, islice
 from multiprocessing import get_context
@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxmpc.beside import Beside
 from jaxmpc.engine.registry import named
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment.build import robot_on_its_tissue
@@ -71,7 +72,7 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
     programs = _programs(job, constants, size)
     waves = [firsts[i : i + size] for i in range(0, len(firsts), size)]
     # Beside those that run, one wave is judged and the next put together.
-    with ThreadPoolExecutor(len(devices) + 1) as threads:
+    with Beside(len(devices) + 1) as threads:
         running = deque[Future[list[Outcomes]]]()
         for wave, device in zip(waves, cycle(devices), strict=False):
             met = [block if on_cpu else _sent(block, device) for block in islice(blocks, len(wave))]

@@ -131,6 +131,8 @@ function parallelView(state, box) {
         },
       });
       name.append(element("small", { textContent: one.log ? " log" : "" }));
+      // Narrow axes: a name wraps before it lies on its neighbour's.
+      name.style.maxWidth = `${Math.min(112, Math.max(gap, NARROW) - 6)}px`;
       const rail = element("div", { className: "rail", tabIndex: 0, role: "slider" });
       rail.setAttribute("aria-orientation", "vertical");
       rail.dataset.name = one.each.name;

@@ -98,7 +98,18 @@ function axis(colors, label, log, more = {}) {
   };
 }
 
-function curveOption(chart, colors) {
+// Lines that a legend takes, by how long its names are.
+function legendLines(names, width) {
+  let lines = 1, place = 0;
+  for (const name of names) {
+    const size = 34 + 6.3 * name.length;
+    if (place + size > width && place > 0) [lines, place] = [lines + 1, 0];
+    place += size;
+  }
+  return lines;
+}
+
+function curveOption(chart, colors, width) {
   const bars = chart.series.some((each) => each.style === "bars");
   const position = (x, y) => [x, y].map((value) => (value === null || value === undefined ? NaN : value));
   const series = chart.series.map((each) => {
@@ -106,7 +117,7 @@ function curveOption(chart, colors) {
     const logged = (value, log) => (log && !(value > 0) ? null : value);
     const data = each.style === "bars" ? each.y : each.x.map((x, i) => [logged(x, chart.xLog), logged(each.y[i], chart.yLog)]);
     if (each.style === "bars") return { type: "bar", name: each.name, data, itemStyle: { color } };
-    if (each.style === "dots") return { type: "scatter", name: each.name, data, symbolSize: 6, itemStyle: { color } };
+    if (each.style === "dots") return { type: "scatter", name: each.name, data, symbolSize: 6, itemStyle: bars ? { color: colors.page, borderColor: color, borderWidth: 1.5 } : { color }, xAxisIndex: bars ? 1 : 0 };
     return {
       type: "line", name: each.name, data, showSymbol: false, itemStyle: { color },
       lineStyle: { color, width: 1.5, type: each.style === "dash" ? "dashed" : "solid" },
@@ -140,20 +151,23 @@ function curveOption(chart, colors) {
     return values.reduce((a, b) => Math.max(a, b), 0) / values.reduce((a, b) => Math.min(a, b), Infinity) || true;
   };
   const ends = (range) => (range ? { min: range[0], max: range[1] } : {});
-  const named = chart.series.filter((each) => each.name);
+  const named = chart.series.filter((each) => each.name), lower = 18 * (legendLines(named.map((each) => each.name), width - 16) - 1);
+  const categories = bars && { type: "category", data: chart.categories, name: chart.x, nameLocation: "middle", nameGap: 28,
+    nameTextStyle: { color: colors.soft }, axisLabel: { color: colors.soft, fontSize: 11, interval: 0, hideOverlap: true },
+    axisLine: { lineStyle: { color: colors.line } } };
+  // Dots stand on their own bar, a fraction of a category beside its middle.
+  const between = bars && { type: "value", show: false, min: -0.5, max: chart.categories.length - 0.5, axisPointer: { show: false, triggerTooltip: false } };
   return {
     title: { text: chart.title, left: 8, top: 4, textStyle: { fontSize: 13, fontWeight: 600, color: colors.text } },
-    grid: { left: 62, right: 18, top: named.length ? 58 : 36, bottom: 44 },
-    legend: { show: named.length > 0, top: 26, left: 8, type: "scroll", right: 8, pageIconSize: 9, itemHeight: 8, itemWidth: 18,
+    grid: { left: 62, right: 18, top: named.length ? 58 + lower : 36, bottom: 44 },
+    legend: { show: named.length > 0, top: 26, left: 8, right: 8, itemGap: 8, itemHeight: 8, itemWidth: 18,
       textStyle: { color: colors.soft, fontSize: 11 }, data: named.map((each) => each.name) },
     tooltip: { trigger: bars || !chart.square ? "axis" : "item", valueFormatter: (value) => (value === null ? "–" : short(value)) },
     xAxis: bars
-      ? { type: "category", data: chart.categories, name: chart.x, nameLocation: "middle", nameGap: 28,
-          nameTextStyle: { color: colors.soft }, axisLabel: { color: colors.soft, fontSize: 11, interval: 0, hideOverlap: true },
-          axisLine: { lineStyle: { color: colors.line } } }
+      ? [categories, between]
       : axis(colors, chart.x, span(chart.xLog, chart.xRange, "x"), { nameGap: 26, ...ends(chart.xRange) }),
-    yAxis: axis(colors, chart.y, span(chart.yLog, chart.yRange, "y"), { nameGap: 46, scale: !bars, ...ends(chart.yRange) }),
-    dataZoom: [{ type: "inside", zoomOnMouseWheel: "ctrl", moveOnMouseWheel: false, filterMode: "none" }],
+    yAxis: axis(colors, chart.y, span(chart.yLog, chart.yRange, "y"), { nameGap: 46, scale: !bars, ...ends(chart.yRange), axisLine: { show: true, onZero: !bars, lineStyle: { color: colors.line } } }),
+    dataZoom: [{ type: "inside", xAxisIndex: bars ? [0, 1] : 0, zoomOnMouseWheel: "ctrl", moveOnMouseWheel: false, filterMode: "none" }],
     series,
   };
 }
@@ -163,7 +177,7 @@ function curveChart(box, chart) {
   box.setAttribute("role", "img");
   box.setAttribute("aria-label", `${chart.title}: ${chart.y} over ${chart.x}`);
   box.classList.toggle("square", chart.square);
-  surface(box, (colors) => curveOption(chart, colors));
+  surface(box, (colors) => curveOption(chart, colors, box.clientWidth || 400));
 }
 
 const hand = { down: false }; // whether somebody is dragging a brush
