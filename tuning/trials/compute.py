@@ -4,14 +4,11 @@ To make what a trial meets takes a core a millisecond, and a tenth of a second f
 run it. There processes make what comes next while each device runs a wave of blocks.
 """
 
-import os
-import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from functools import partial
 from itertools import cycle, islice
-from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import jax
@@ -27,6 +24,7 @@ from jaxmpc.synthesis.params import Params, by_structure
 from jaxmpc.xla.precision import in_float64
 from tuning.trials import drawn
 from tuning.trials.drawn import Job
+from tuning.trials.makers import made_by_processes
 from tuning.trials.outcomes import Outcomes
 from tuning.trials.program import Met, Shared, wave_program
 
@@ -68,19 +66,23 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
     constants, on_cpu = _constants(job), jax.default_backend() == "cpu"
     devices, size = (jax.local_devices()[:1], 1) if on_cpu else (jax.local_devices(), BLOCKS_OF_A_WAVE)
     make = partial(_met, job, constants.varied)
-    blocks = map(make, firsts) if on_cpu else _by_processes(make, firsts)
+    blocks = map(make, firsts) if on_cpu else made_by_processes(make, firsts)
     programs = _programs(job, constants, size)
     waves = [firsts[i : i + size] for i in range(0, len(firsts), size)]
-    # Beside those that run, one wave is judged and the next put together.
-    with Beside(len(devices) + 1) as threads:
-        running = deque[Future[list[Outcomes]]]()
+    # Devices never wait: beside the waves that run, one more is put together, and those that have run are judged.
+    with Beside(len(devices)) as running, Beside(1) as judging:
+        ran, judged = deque[Future[Outcomes]](), deque[Future[list[Outcomes]]]()
         for wave, device in zip(waves, cycle(devices), strict=False):
             met = [block if on_cpu else _sent(block, device) for block in islice(blocks, len(wave))]
             met += met[-1:] * (size - len(wave))
-            running.append(threads.submit(_ran, job, programs, wave, met))
-            if on_cpu or len(running) > len(devices):
-                yield from running.popleft().result()
-        for each in running:
+            ran.append(running.submit(_ran, programs, len(wave), met))
+            judged.append(judging.submit(_judged, job, wave, ran[-1]))
+            del met
+            if len(ran) > len(devices):
+                ran.popleft().exception()  # `_judged` raises it
+            while judged and (on_cpu or judged[0].done()):
+                yield from judged.popleft().result()
+        for each in judged:
             yield from each.result()
 
 
@@ -114,24 +116,6 @@ def _met(job: Job, varied: tuple[int, ...], first: int) -> Met:
     return Met(heart, between, noise, own)
 
 
-def _by_processes(make: Callable[[int], Met], firsts: Sequence[int]) -> Iterator[Met]:
-    """The blocks in their order, made by a process per core, no more of them than two for each process ahead."""
-    cores = len(os.sched_getaffinity(0))
-    with ProcessPoolExecutor(cores, get_context("spawn"), _as_a_maker) as pool:
-        ahead, waiting = iter(firsts), deque[Any]()
-        waiting.extend(pool.submit(make, first) for first in islice(ahead, 2 * cores))
-        while waiting:
-            yield waiting.popleft().result()
-            waiting.extend(pool.submit(make, first) for first in islice(ahead, 1))
-
-
-def _as_a_maker() -> None:
-    """A process that leaves the GPU alone, and Ctrl-C to the one that asked."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    config: Any = jax.config
-    config.update("jax_platforms", "cpu")
-
-
 def _programs(job: Job, constants: _Constants, size: int) -> list[_Program]:
     base = job.trial(0)
     run = wave_program(named(program_spec(base), job.engine), constants.varied, constants.structure, size * drawn.POOL)
@@ -144,21 +128,27 @@ def _programs(job: Job, constants: _Constants, size: int) -> list[_Program]:
 
 
 @in_float64
-def _ran(job: Job, programs: list[_Program], wave: Sequence[int], met: Sequence[Met]) -> list[Outcomes]:
-    """The blocks of a wave, each by itself; the whole arm is asked where the force left 2 N."""
+def _ran(programs: list[_Program], blocks: int, met: Sequence[Met]) -> Outcomes:
+    """What came of so many blocks of a wave, one after another; nobody has asked the whole arm yet."""
     fields: dict[int, list[np.ndarray]] = {}
     for program in programs:
         found = [np.asarray(field) for field in program.run(met, program.shared)]
         fields |= {i: [field[:, :, c] for field in found] for c, i in enumerate(program.members)}
     stacked = [np.stack(each, 2) for each in zip(*(fields[i] for i in sorted(fields)), strict=True)]
-    blocks, cut = len(wave), (-1, drawn.POOL, drawn.COPIES)
+    cut = -1, drawn.POOL, drawn.COPIES
     # Motions led; trial first + POOL·copy + motion.
     flat = [field.reshape(*cut, *field.shape[2:]).swapaxes(1, 2)[:blocks] for field in stacked]
     flat = [field.reshape(blocks * drawn.BLOCK, *field.shape[3:]) for field in flat]
     flat[0] = flat[0].astype(np.int8)
-    ran = Outcomes(*[*flat, np.zeros(flat[0].shape, bool)])
+    return Outcomes(*[*flat, np.zeros(flat[0].shape, bool)])
+
+
+@in_float64
+def _judged(job: Job, wave: Sequence[int], running: Future[Outcomes]) -> list[Outcomes]:
+    """The blocks of a wave, each by itself; the whole arm is asked where the force left 2 N."""
+    ran = running.result()
     numbers = [first + i for first in wave for i in range(drawn.BLOCK)]
     for c, params in enumerate(job.controllers):
         asked = np.flatnonzero(ran.beyond[:, c])
         ran.whole_arm_unstable[asked, c] = whole_arm.lost(params, [job.trial(numbers[i]) for i in asked])
-    return [Outcomes(*each) for each in zip(*(np.split(field, blocks) for field in ran), strict=True)]
+    return [Outcomes(*each) for each in zip(*(np.split(field, len(wave)) for field in ran), strict=True)]
