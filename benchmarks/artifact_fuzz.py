@@ -136,7 +136,18 @@ def torques(artifact: Artifact) -> np.ndarray:
 def law(artifact: Artifact) -> str:
     """All that its torques depend on."""
     arm = None if artifact.arm is None else {k: v for k, v in vars(artifact.arm).items() if k not in GOLDEN}
-    return repr((artifact.gains, artifact.T_s, artifact.K2, artifact.preview, artifact.loop, arm))
+    return exact((artifact.gains, artifact.T_s, artifact.K2, artifact.preview, artifact.loop, arm))
+
+
+def exact(value: Any) -> str:
+    """A value to its last digit: the text of gains and parameters, made for people, rounds."""
+    if isinstance(value, np.ndarray):
+        return exact(value.tolist())
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(exact, value))})"
+    if isinstance(value, dict):
+        return f"({', '.join(f'{key}: {exact(each)}' for key, each in value.items())})"
+    return exact(vars(value)) if hasattr(value, "__dict__") else repr(value)
 
 
 def absurd(artifact: Artifact, good: Artifact, expected: np.ndarray) -> str:
@@ -281,7 +292,7 @@ def remember_margins() -> None:
     known: dict[tuple[Any, ...], dict[str, float]] = {}
 
     def remembered(artifact: Artifact, stiffness: float) -> dict[str, float]:
-        key = repr(artifact.gains), artifact.T_s, artifact.K2, artifact.loop, stiffness
+        key = exact(artifact.gains), artifact.T_s, artifact.K2, artifact.loop, stiffness
         if key not in known:
             known[key] = margins_at(artifact, stiffness)
         return known[key]
@@ -295,7 +306,7 @@ def remember_runtimes() -> None:
 
     def remembered(artifact: Artifact) -> ArmRuntime:
         controller = *flown_controller(artifact), artifact.preview
-        key = repr(controller)
+        key = exact(controller)
         if key not in known:
             if len(known) > 100:
                 known.clear()
