@@ -41,7 +41,7 @@ class TwinContact:
     def begin(self, touching: bool) -> None:
         """Begin anew; a contact is then one without force where the heart rests."""
         self.touching, self._anchor = touching, self._rest
-        self._memory = tissue.init(self._kind, 0.0)
+        self._memory = tissue.init(self._kind, self._attached, 0.0)
 
     def press(self, tip: Vector3, speed: Vector3, heart: Vector3, rate: Vector3, t: float, h: float) -> Vector3:
         """Force on the tissue now [N]; what the tissue remembers goes on by h [s], contact begins and ends.
@@ -56,20 +56,24 @@ class TwinContact:
         """
         at = self._anchor
         x, y, z = tip[0] - heart[0] - at[0], tip[1] - heart[1] - at[1], tip[2] - heart[2] - at[2]
-        if not self.touching and z <= (0.0 if self._attached else LIFTED) and self._above(tip):
+        above = self.touching or self._above(tip)
+        if not self._attached:
+            self.touching = above and z <= (2.0 * LIFTED if self.touching else LIFTED)
+        elif not self.touching and above and z <= 0.0:
             # It sticks where it touches: no force along the surface yet.
             self.touching, self._anchor = True, (at[0] + x, at[1] + y, at[2])
             x = y = 0.0
-        elif self.touching and not self._attached and z > 2.0 * LIFTED:
-            self.touching = False
-        if not self.touching:
+        # A tissue that holds nothing still remembers, and where the tip will stick goes along with it.
+        if not (self.touching or (above and not self._attached)):
             return _NONE
         constants = self._changed(t) if self._settings.changes else self._constants
         now = self._memory, (x, y, z), (speed[0] - rate[0], speed[1] - rate[1], speed[2] - rate[2])
         force = tissue.force(self._kind, self._attached, constants, *now, FLOATS)
         self._memory = tissue.relax(self._kind, self._attached, constants, *now, h, FLOATS)
         if self._attached and force[2] > self._pull_off:
-            self.touching, self._memory = False, tissue.init(self._kind, 0.0)
+            self.touching, self._memory = False, tissue.init(self._kind, True, 0.0)
+            return _NONE
+        if not self.touching:
             return _NONE
         return _cut(force[0]), _cut(force[1]), _cut(force[2])
 

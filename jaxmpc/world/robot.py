@@ -133,7 +133,7 @@ def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Op
         four,
         motor,
         friction.init(zero),
-        tissue.init(kind.tissue, zero),
+        tissue.init(kind.tissue, kind.attached, zero),
         sensor.init(kind.tool_inertia, zero),
         (held, held),
     )

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from scipy.integrate import solve_ivp
 
 from jaxmpc.world.tissue import KINDS, WIDTH, Tissue, TissueState, force, init, relax
+from jaxmpc.world.tissue.grip import Touched
 
 FLOATS = SimpleNamespace(exp=math.exp, sqrt=math.sqrt, maximum=max)
 ARRAYS = SimpleNamespace(exp=np.exp, sqrt=np.sqrt, maximum=np.maximum)
@@ -25,7 +26,7 @@ EVERY = pytest.mark.parametrize("kind", KINDS)
 
 def normal(kind, attached, delta, rate=0.0, tissue=HEART, state=None):
     """Force pressing on the surface, indented by delta."""
-    state = init(kind) if state is None else state
+    state = init(kind, attached) if state is None else state
     return -force(kind, attached, tissue, state, (0.0, 0.0, -delta), (0.0, 0.0, -rate), FLOATS)[2]
 
 
@@ -36,7 +37,7 @@ def slope(kind, attached, delta, tissue=HEART):
 
 def response(kind, attached, tissue, t, d, ddot):
     """Forces along a path, shape (3, steps), with the rate between samples given to the memory."""
-    state, forces = init(kind), []
+    state, forces = init(kind, attached), []
     for k in range(len(t)):
         forces.append(force(kind, attached, tissue, state, d[:, k], ddot[:, k], FLOATS))
         if k + 1 < len(t):
@@ -65,8 +66,9 @@ def test_the_papers_tissue_is_a_spring_and_nothing_else():
 
 
 @EVERY
-def test_only_the_standard_linear_solid_carries_state(kind):
-    assert len(jax.tree.leaves(init(kind))) == (6 if kind == "standard-linear" else 0)
+def test_only_the_standard_linear_solid_carries_state_and_what_is_touched_its_anchor(kind):
+    numbers = 6 if kind == "standard-linear" else 0
+    assert [len(jax.tree.leaves(init(kind, attached))) for attached in (True, False)] == [numbers, numbers + 2]
 
 
 @BOTH
@@ -160,7 +162,7 @@ def test_memory_lags_a_steady_ramp_by_its_time_constant(h):
 def everything(flat, ops):
     """Forces [N] and memory [K_s m] of all laws, both ways, from Tissue, memory, d and ddot in a row."""
     viscosity, relaxing, *taus, dissipation = flat[1:6]
-    memory, d, ddot = flat[6:12], tuple(flat[12:15]), tuple(flat[15:18])
+    memory, d, ddot, anchor = flat[6:12], tuple(flat[12:15]), tuple(flat[15:18]), tuple(flat[18:20])
     constants = {
         "kelvin-voigt": (viscosity,),
         "standard-linear": (relaxing, tuple(taus)),
@@ -169,33 +171,34 @@ def everything(flat, ops):
     for attached in (True, False):
         for kind in KINDS:
             tissue = Tissue(flat[0], constants.get(kind, ()))
-            state = TissueState(tuple(memory[:3]), tuple(memory[3:])) if kind == "standard-linear" else ()
+            law = TissueState(tuple(memory[:3]), tuple(memory[3:])) if kind == "standard-linear" else ()
+            state = law if attached else Touched(anchor, law)
             yield from force(kind, attached, tissue, state, d, ddot, ops)
             after = relax(kind, attached, tissue, state, d, ddot, 1e-3, ops)
-            yield from (800.0 * x for axes in after for x in axes)
+            yield from (800.0 * x for x in jax.tree.leaves(after))
 
 
 def test_gradients_against_central_differences():
     """With respect to constants, memory, place and rate; forward and reverse; at, across and far from contact."""
     deltas = np.array([-5e-3, -1e-3, -WIDTH, -1e-9, 0.0, 1e-9, WIDTH, 1e-3, 5e-3])
-    scale = np.array([*NUMBERS, *(1e-3,) * 9, *(0.05,) * 3])
-    inputs = np.tile([*NUMBERS, *(2e-4,) * 6, 1e-3, -2e-3, 0.0, 0.01, -0.02, 0.03], (len(deltas), 1))
+    scale = np.array([*NUMBERS, *(1e-3,) * 9, *(0.05,) * 3, *(1e-3,) * 2])
+    inputs = np.tile([*NUMBERS, *(2e-4,) * 6, 1e-3, -2e-3, 0.0, 0.01, -0.02, 0.03, 5e-4, 1e-4], (len(deltas), 1))
     inputs[:, 14] = -deltas
 
     def of_rows(*flat):
         return list(everything(flat, jnp))
 
-    # Rows do not mix: one pass over 18 copies of them, each moved along another input.
-    copies = [jnp.asarray(column) for column in np.tile(inputs, (18, 1)).T]
-    along = [jnp.asarray(column) for column in np.repeat(np.eye(18), len(deltas), axis=0).T]
+    # Rows do not mix: one pass over 20 copies of them, each moved along another input.
+    copies = [jnp.asarray(column) for column in np.tile(inputs, (20, 1)).T]
+    along = [jnp.asarray(column) for column in np.repeat(np.eye(20), len(deltas), axis=0).T]
     forward = np.stack(jax.jvp(of_rows, copies, along)[1])
-    weights = np.random.default_rng(0).normal(size=(len(forward), 1)) * np.ones(18 * len(deltas))
+    weights = np.random.default_rng(0).normal(size=(len(forward), 1)) * np.ones(20 * len(deltas))
     reverse = np.stack(jax.vjp(of_rows, *copies)[1]([jnp.asarray(w) for w in weights]))
     assert np.isfinite(forward).all()
     np.testing.assert_allclose((reverse * np.stack(along)).sum(0), (forward * weights).sum(0), rtol=1e-9, atol=1e-9)
-    forward = forward.reshape(-1, 18, len(deltas))
+    forward = forward.reshape(-1, 20, len(deltas))
     for i, unit in enumerate(scale):
-        h = np.zeros(18)
+        h = np.zeros(20)
         h[i] = 1e-5 * unit
         high, low = (np.stack(list(everything((inputs + way * h).T, ARRAYS))) for way in (1.0, -1.0))
         # Newton for a relative change of the input: the slopes' units differ. Fung's law, attached, has no second
@@ -214,7 +217,10 @@ def test_an_attached_tissue_pulls_as_it_pushes(kind):
 @settings(max_examples=50)
 @given(delta=st.floats(-0.05, 0.02), rate=st.floats(-2.0, 2.0), memory=st.floats(-0.02, 0.02), c=st.floats(0.0, 5.0))
 def test_a_touching_tip_is_never_pulled(kind, delta, rate, memory, c):
-    state, constants = jax.tree.map(lambda _: memory, init(kind)), {"hunt-crossley": (c,), "kelvin-voigt": (8.0,)}
+    state, constants = (
+        jax.tree.map(lambda _: memory, init(kind, False)),
+        {"hunt-crossley": (c,), "kelvin-voigt": (8.0,)},
+    )
     assert normal(kind, False, delta, rate, HEART._replace(constants=constants.get(kind, ())), state) >= 0.0
 
 
@@ -233,13 +239,13 @@ def test_a_touching_tip_feels_more_the_deeper_and_no_jump(kind, delta, step, rat
 @pytest.mark.parametrize("stiffness", [300.0, 810.0, 2500.0])
 def test_nothing_is_felt_a_millimetre_away(kind, stiffness):
     d, ddot = (5e-3, -5e-3, 1e-3), (0.1, 0.1, -0.1)
-    assert max(map(abs, force(kind, False, Tissue(stiffness), init(kind), d, ddot, FLOATS))) < 1e-3
+    assert max(map(abs, force(kind, False, Tissue(stiffness), init(kind, False), d, ddot, FLOATS))) < 1e-3
 
 
 @EVERY
 def test_in_firm_contact_touching_is_as_good_as_attached(kind):
     d, ddot = (2e-3, -1e-3, -6e-3), (0.02, -0.01, 0.03)
-    found, wanted = (force(kind, attached, HEART, init(kind), d, ddot, FLOATS) for attached in (False, True))
+    found, wanted = (force(kind, attached, HEART, init(kind, attached), d, ddot, FLOATS) for attached in (False, True))
     np.testing.assert_allclose(found, wanted, rtol=1e-4)
 
 
@@ -253,7 +259,38 @@ def test_contact_lost_and_found_again(kind):
     y = response(kind, False, HEART, t, d, ddot)
     assert np.abs(y[:, ~pressed]).max() < 1e-4
     first, again = int(np.argmax(t >= 0.1)), int(np.argmax(t >= 12.1))
-    np.testing.assert_allclose(y[:, again : again + 100], y[:, first : first + 100], rtol=1e-4)
+    np.testing.assert_allclose(y[:, again : again + 100], y[:, first : first + 100], rtol=1e-4, atol=1e-9)
+
+
+@EVERY
+def test_contact_found_elsewhere_pushes_along_the_surface_only_by_what_it_moves_from_there(kind):
+    t = np.arange(0.0, 3.0, 1e-3)
+    d = np.zeros((3, len(t)))
+    d[2] = np.interp(t, [0.0, 0.5, 1.0, 1.2, 1.7, 3.0], [0.0, -6e-3, -6e-3, 4e-3, -6e-3, -6e-3])
+    d[0] = np.interp(t, [0.0, 1.1, 1.3, 2.0, 2.5, 3.0], [0.0, 0.0, 8e-3, 8e-3, 9e-3, 9e-3])
+    y = response(kind, False, HEART, t, d, np.gradient(d, 1e-3, axis=1))
+    pressed = d[2] < -5e-3
+    assert np.abs(y[0, pressed & (t < 1.99)]).max() < 0.02
+    # 1 mm on 810 N/m, and 3 N s/m times its rate until 2.5 s.
+    assert 0.6 < y[0, t > 2.6].min()
+    assert y[0, t > 2.6].max() < 0.82
+
+
+def test_a_tip_that_presses_by_a_millimetre_does_not_slide():
+    state = init("elastic", False)
+    for _ in range(10_000):
+        state = relax("elastic", False, HEART, state, (2e-3, -1e-3, -1e-3), REST, 1e-3, FLOATS)
+    assert max(map(abs, state.anchor)) < 0.02 * 2e-3
+
+
+@pytest.mark.parametrize("steps", [1, 5, 20])
+def test_sliding_is_the_same_at_any_step(steps):
+    state = init("elastic", False)
+    for _ in range(5 * steps):
+        state = relax("elastic", False, HEART, state, (1e-3, 0.0, -2.0 * WIDTH), REST, 1e-3 / steps, FLOATS)
+    u = 2.0 / math.sqrt(5.0)
+    contact = 0.25 * (1.0 + u) ** 2 * (2.0 - u)
+    assert state.anchor[0] == pytest.approx(1e-3 * -math.expm1(-5.0 * (1.0 - contact) / contact), rel=0.01)
 
 
 @BOTH
@@ -279,7 +316,7 @@ def test_every_kind_of_scalar_agrees(kind, attached):
     d, ddot = (1e-3, -2e-3, -4e-5), (0.01, -0.02, 0.03)
 
     def both(d, ddot, like, ops):
-        state = relax(kind, attached, HEART, init(kind, like), d, ddot, 0.1, ops)
+        state = relax(kind, attached, HEART, init(kind, attached, like), d, ddot, 0.1, ops)
         return force(kind, attached, HEART, state, d, ddot, ops)
 
     wanted = both(d, ddot, 0.0, FLOATS)

@@ -6,6 +6,7 @@ from typing import Any
 from jaxmpc.world.tissue.base import WIDTH, Axes, Memory, Scalar, Tissue, TissueLaw
 from jaxmpc.world.tissue.elastic import Elastic
 from jaxmpc.world.tissue.fung import Fung
+from jaxmpc.world.tissue.grip import Touched, followed, from_anchor
 from jaxmpc.world.tissue.hunt_crossley import HuntCrossley
 from jaxmpc.world.tissue.kelvin_voigt import KelvinVoigt
 from jaxmpc.world.tissue.standard_linear import StandardLinear, TissueState
@@ -19,9 +20,10 @@ KINDS = tuple(LAWS)
 """Names of the laws."""
 
 
-def init(kind: str, like: Scalar = 0.0) -> Memory:
+def init(kind: str, attached: bool, like: Scalar = 0.0) -> Memory:
     """What a tissue at rest remembers, its numbers in the form of a finite number or batch."""
-    return LAWS[kind].init(like)
+    memory = LAWS[kind].init(like)
+    return memory if attached else Touched((0.0 * like, 0.0 * like), memory)
 
 
 def force(
@@ -48,7 +50,9 @@ def force(
         X, Y, Z [N].
     """
     law = LAWS[kind]
-    return (law.held if attached else law.touched)(tissue, memory, d, ddot, ops)
+    if attached:
+        return law.held(tissue, memory, d, ddot, ops)
+    return law.touched(tissue, memory.law, from_anchor(memory.anchor, d), ddot, ops)
 
 
 def relax(
@@ -62,4 +66,8 @@ def relax(
     ops: Any,
 ) -> Memory:
     """What the tissue remembers, h later; see `TissueLaw.relax`."""
-    return LAWS[kind].relax(attached, tissue, memory, d, ddot, h, ops)
+    relax = LAWS[kind].relax
+    if attached:
+        return relax(True, tissue, memory, d, ddot, h, ops)
+    law = relax(False, tissue, memory.law, from_anchor(memory.anchor, d), ddot, h, ops)
+    return Touched(followed(memory.anchor, d, ddot, h, ops), law)
