@@ -20,6 +20,7 @@ from typing import Any
 from benchmarks.lying_sensor import GAP, RATE
 from benchmarks.lying_survey import STIFFNESSES
 from deploy.controller.file import load
+from deploy.controller.limits import ROWS
 from deploy.loop.cycle import CycleResult, OperatorCommand
 from deploy.safety.force_balance import HIDDEN, PUSH
 from deploy.safety.machine import OperatingState
@@ -35,9 +36,9 @@ HELD = 4.0
 """Time in contact besides the ramp [s]."""
 ARMS: tuple[dict[str, Any], ...] = ({}, {}, {}, {"coulomb": (4.0, 4.5, 2.2, 1.3), "mass_scale": 1.1})
 CASES = tuple(product((-2.0, -5.0), (HEARTS[0], *RHYTHMS, *SCENARIOS), KINDS, STIFFNESSES))
-BOUNDS = {"hidden": HIDDEN, "push": PUSH, "asked": ASKED, "jump": FORCE_JUMP}
+BOUNDS = {"hidden": HIDDEN, "push": PUSH, "asked": ASKED, "jump": FORCE_JUMP, "overshoot": ROWS["overshoot"].default}
 """What a flight is ended at: push that friction does not explain [N], push beyond the air's [N], acceleration asked of
-the tip [m/s²], change of the force from one sample to the next [N]."""
+the tip [m/s²], change of the force from one sample to the next [N], measured push over the wanted one [-]."""
 
 
 def flown(path: Path, number: int) -> dict[str, Any]:
@@ -63,6 +64,7 @@ def flown(path: Path, number: int) -> dict[str, Any]:
 
     ended = session.run(OperatorCommand(True, True), None, each)
     bus.close()
+    most["overshoot"] = session.cycle.pushes.measured / abs(wanted)
     case = {"number": number, "wanted": wanted, "rhythm": rhythm, "tissue": tissue, "stiffness": stiffness}
     return {**case, "heavy": bool(arm), "reason": str(ended.safety_state.reason), **most}
 

@@ -63,6 +63,7 @@ class Limits:
         joint_range: Lowest and highest angle of each joint (4, 2) [rad].
         workspace: Lowest and highest x, y and z of the tip in the shoulder's frame (3, 2) [m].
         least_singular_value: Smallest that the tip's 3×4 Jacobian may have [m/rad].
+        overshoot: Largest measured push over the largest wanted one with which a run ends `finished` [-].
 
     Raises:
         InputError: A value is malformed or out of bounds.
@@ -79,6 +80,7 @@ class Limits:
     ]
     workspace: Annotated[Box, LimitRow("m", None, widest=((-REACH, REACH),) * 3)]
     least_singular_value: Annotated[float, LimitRow("m/rad", 0.05, 0.02, 0.3)]
+    overshoot: Annotated[float, LimitRow("-", 1.2, 1.0, 10.0, optional=True)] = 1.2
 
     def __post_init__(self) -> None:
         for name, row in ROWS.items():

@@ -20,6 +20,7 @@ from deploy.safety.checker import Checker, Strictness
 from deploy.safety.clamp import NOTHING, Clamp, bounds, clamp
 from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import Observations, OperatingState, SafetyState, Task
+from deploy.safety.overshoot import Pushes, pushed
 from deploy.safety.plausible import EncoderState, ForceState, beyond_stop, encoder_step, force_step
 from deploy.safety.reasons import Reason
 from deploy.wam.arm import WamArm
@@ -75,6 +76,7 @@ class Cycle:
 
     Attributes:
         watch: What is known of the force sensor's truth.
+        pushes: The largest in contact.
     """
 
     def __init__(
@@ -117,7 +119,7 @@ class Cycle:
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
         self.watch = ForceWatch(controller, estimate, deepest, T_s)
-        self._age, self._hazards = [0] * 4, Hazards(arm, T_s)
+        self._age, self._hazards, self.pushes = [0] * 4, Hazards(arm, T_s), Pushes()
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
 
@@ -147,6 +149,10 @@ class Cycle:
             doubt = Reason.LATE
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
+        if self.safety_state.state is OperatingState.CONTACT and force is not None:
+            self.pushes = pushed(self.pushes, self._push(self.controller.force_ref), self._push(force))
+        if command.finish is Reason.FINISHED and self.pushes.beyond(self.limits.overshoot):
+            command = command._replace(finish=Reason.OVERSHOOT)
         observed = Observations(
             hazard,
             age,
@@ -160,6 +166,10 @@ class Cycle:
         )
         self.safety_state = machine.step(self.safety_state, observed)
         return self._send(q, qd, kinematics, force, age)
+
+    def _push(self, force: Vector3) -> float:
+        """Push into the tissue [N]."""
+        return -sum(n * each for n, each in zip(self.controller.contacting.normal, force, strict=True))
 
     def _send(self, q: Vector4, qd: Vector4, kinematics: TipKinematics, force: Vector3 | None, age: int) -> CycleResult:
         """Result with the frame of the task, or of the lesser task that a refusal leads to."""

@@ -49,6 +49,7 @@ class Reason(StrEnum):
     WATCHDOG = "watchdog"
     NOT_STARTED = "not-started"
     NO_CONTACT = "no-contact"
+    OVERSHOOT = "overshoot"
     OPERATOR = "operator"
     FINISHED = "finished"
     ERROR = "error"
@@ -117,6 +118,7 @@ EXPLANATION: Mapping[Reason, str] = {
     Reason.WATCHDOG: "The watchdog process has ended or cannot be reached.",
     Reason.NOT_STARTED: "Nobody armed, activated or started the arm within the time that it waits.",
     Reason.NO_CONTACT: "The tissue was not met where it was expected.",
+    Reason.OVERSHOOT: "The run is over, but the tip has pressed much more than was wanted.",
     Reason.OPERATOR: "The operator stopped it.",
     Reason.FINISHED: "The run is over.",
     Reason.ERROR: "The program failed; its message is above.",
