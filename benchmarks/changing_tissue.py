@@ -2,6 +2,7 @@
 
     python -m benchmarks.changing_tissue --trials 1440            # two cores: some 16 trials a second and column
     python -m benchmarks.changing_tissue --changes stiffer-4 softer-4 --params family
+    python -m benchmarks.changing_tissue --changes contact-loss   # the tip leaves the tissue and meets it again
 
 Arms, rhythms and motions are those of `jaxmpc trials`, the stiffness log-uniform where both ends of the change stay
 within 300–2200 N/m. A trial that stays and the one that changes differ in nothing else.
@@ -33,6 +34,7 @@ class Kind(NamedTuple):
 
 
 STAYS = Kind(1.0, 0.2)
+CONTACT_LOSS = "contact-loss"
 KINDS = {
     "stiffer-4": Kind(4.0, 0.2),
     "softer-4": Kind(0.25, 0.2),
@@ -67,9 +69,10 @@ def columns(kind: Kind) -> dict[str, tuple[float, float]]:
 
 
 def left(found: Outcomes, controller: int) -> np.ndarray:
-    """Whether each trial left |e| < 2 N, or ended with any status but OK."""
+    """Whether each trial left |e| < 2 N, or ended otherwise than it was to."""
     peak = np.nan_to_num(found.peak_error[:, controller].max(axis=-1), nan=np.inf)
-    gone: np.ndarray = (peak >= LARGEST_ERROR) | (found.status[:, controller] != Status.OK)
+    well = np.isin(found.status[:, controller], (Status.OK, Status.LOST_CONTACT))
+    gone: np.ndarray = (peak >= LARGEST_ERROR) | ~well
     return gone
 
 
@@ -78,14 +81,21 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=1440)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--params", nargs="+", default=["family"], help="published sets")
-    parser.add_argument("--changes", nargs="+", default=list(KINDS), choices=list(KINDS))
+    parser.add_argument("--changes", nargs="+", default=list(KINDS), choices=[*KINDS, CONTACT_LOSS])
     args = parser.parse_args()
     controllers = tuple(map(Params.published, args.params))
     base = Experiment.published("table-1-wam")
     for name in args.changes:
-        for column, (begins, ends) in columns(KINDS[name]).items():
+        if name == CONTACT_LOSS:
+            jobs: dict[str, Job] = {"changing": Job(controllers, Experiment.published(CONTACT_LOSS), seed=args.seed)}
+        else:
+            kind = KINDS[name]
+            jobs = {
+                column: Changing(controllers, base, seed=args.seed, kind=kind, begins=begins, ends=ends)
+                for column, (begins, ends) in columns(kind).items()
+            }
+        for column, job in jobs.items():
             began = time.monotonic()
-            job = Changing(controllers, base, seed=args.seed, kind=KINDS[name], begins=begins, ends=ends)
             found = run(job, args.trials)
             for c, controller in enumerate(args.params):
                 gone = int(left(found, c).sum())

@@ -95,12 +95,7 @@ def test_other_experiments_have_the_same_arm() -> None:
     nominal = Experiment.published("table-1-wam")
     for name in SCENARIOS.values():
         experiment = Experiment.published(name)
-        arm = experiment.arm
-        if name == "contact-loss":
-            # Without the limit of a torque's step, as its file says; all else is the same.
-            assert arm.torque_step_limit == (0.0,) * 4
-            arm = msgspec.structs.replace(arm, torque_step_limit=nominal.arm.torque_step_limit)
-        assert (arm, experiment.sensor) == (nominal.arm, nominal.sensor), name
+        assert (experiment.arm, experiment.sensor) == (nominal.arm, nominal.sensor), name
         assert (experiment.delay, experiment.velocity_lowpass) == (nominal.delay, nominal.velocity_lowpass), name
 
 
