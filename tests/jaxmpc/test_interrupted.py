@@ -139,6 +139,8 @@ DEAF = """
 import gc, signal, sys, time
 from jaxmpc.terminal.interruption import always_heard
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job begins without it
+
 def strike(phase, info):
     gc.callbacks.clear()
     signal.raise_signal(signal.SIGINT)
