@@ -259,6 +259,7 @@ def test_contact_lost_and_found_again(kind):
     y = response(kind, False, HEART, t, d, ddot)
     assert np.abs(y[:, ~pressed]).max() < 1e-4
     first, again = int(np.argmax(t >= 0.1)), int(np.argmax(t >= 12.1))
+    # Along the surface, where it sticks anew, what is left is what its memory has not forgotten: 1e-12 N.
     np.testing.assert_allclose(y[:, again : again + 100], y[:, first : first + 100], rtol=1e-4, atol=1e-9)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.loop import loop
 from deploy.loop.control import Contacting
-from deploy.loop.loop import LETTING_GO
+from deploy.loop.loop import LETTING_GO, LINGER
 from deploy.loop.operator import Operator
 from deploy.safety.machine import IDLE_PATIENCE, OperatingState
 from deploy.safety.reasons import Reason
@@ -119,6 +119,13 @@ def check(state, hazard, signals):
     if signals == 2:
         assert end - at <= SOON
     return before, now
+
+
+def test_a_run_that_is_over_holds_the_arm_for_a_second(monkeypatch):
+    monkeypatch.setattr(loop, "LINGER", LINGER)
+    _, seen, end = fly()
+    over = next(time for time, now in seen if now.over)
+    assert end - over == pytest.approx(1.0 + LETTING_GO, abs=0.01)
 
 
 @pytest.mark.parametrize("state", STATES)
