@@ -179,20 +179,23 @@ def _scenario(experiment: Experiment) -> ScenarioData:
 
 @lru_cache(maxsize=8)
 def _program(world: ProgramSpec, precision: str, block: int) -> OverBlocks:
-    return OverBlocks(partial(evaluate_block, world=world, dtype=precision), block)
+    return OverBlocks(evaluate_block, block, {"world": world, "dtype": precision})
 
 
 @lru_cache(maxsize=8)
 def _pairs(world: ProgramSpec, precision: str, block: int) -> OverBlocks:
-    def block_of_pairs(batch: Any, shared: Any) -> Outcome:
-        def one(params: Params, scene: ScenarioData) -> Outcome:
-            met = scene if shared is None else scene._replace(signals=shared)
-            alone = jax.tree.map(lambda leaf: leaf[None], params)
-            outcome = evaluate_block(alone, met, world=world, dtype=precision)
-            first: Outcome = jax.tree.map(lambda leaf: leaf[0], outcome)
-            return first
+    return OverBlocks(_block_of_pairs, block, {"world": world, "dtype": precision})
 
-        found: Outcome = jax.vmap(one)(*batch)
-        return found
 
-    return OverBlocks(block_of_pairs, block)
+def _block_of_pairs(pairs: tuple[Params, ScenarioData], signals: Any, *, world: ProgramSpec, dtype: str) -> Outcome:
+    """Each controller in a scene of its own; with signals that all share, unless None."""
+
+    def one(params: Params, scene: ScenarioData) -> Outcome:
+        met = scene if signals is None else scene._replace(signals=signals)
+        alone = jax.tree.map(lambda leaf: leaf[None], params)
+        outcome = evaluate_block(alone, met, world=world, dtype=dtype)
+        first: Outcome = jax.tree.map(lambda leaf: leaf[0], outcome)
+        return first
+
+    found: Outcome = jax.vmap(one)(*pairs)
+    return found

@@ -6,13 +6,17 @@ exception, measured: a process with a single device compiles to other last bits 
 which is why the command line always makes two at least.
 """
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
+
+from jaxmpc.xla import store
 
 BLOCK = 256
 """Controllers in a block on a CPU: below 128 the loop overhead shows, above 512 the cache does."""
@@ -29,28 +33,49 @@ class OverBlocks:
     """A compiled version of f(batch, shared) that works block by block, dealt out to all local devices.
 
     It takes any number of rows; the last block is padded with copies of the last row. One compilation per number of
-    blocks.
+    blocks. Where an entry point keeps traced programs (`jaxmpc.xla.store`), a block's is one of them.
     """
 
-    def __init__(self, function: Callable[..., Any], block: int = BLOCK) -> None:
-        """Wrap a traceable function of a batch with leading dimension `block`, and of what all blocks share."""
+    def __init__(
+        self, function: Callable[..., Any], block: int = BLOCK, static: Mapping[str, Any] | None = None
+    ) -> None:
+        """Wrap a traceable function of a batch with leading dimension `block`, and of what all blocks share.
 
-        def over(blocks: Any, shared: Any) -> Any:
-            return jax.lax.map(lambda one: function(one, shared), blocks)
-
-        self._block, self._dealt = block, OverDevices(over)
+        Args:
+            function: Of two arguments, and of what is static, by name.
+            block: Rows of a block.
+            static: What the function is traced for, by name.
+        """
+        self._function, self._block, self._static = function, block, dict(static or {})
+        self._names = [*inspect.signature(function).parameters][:2]
+        self._dealt: dict[str | None, OverDevices] = {}
 
     def begin(self, batch: Any, shared: Any) -> Callable[[], Any]:
         """Have the devices begin; what is returned waits for them, and gives the result as numpy."""
         rows = len(jax.tree.leaves(batch)[0])
         whole = padded(batch, self._block * jax.local_device_count())
         blocks = jax.tree.map(lambda leaf: leaf.reshape(-1, self._block, *leaf.shape[1:]), whole)
-        found = self._dealt.begin(blocks, shared)
+        shared = jax.tree.map(jnp.asarray, shared)
+        found = self._program(jax.tree.map(lambda leaf: leaf[0], blocks), shared).begin(blocks, shared)
         return lambda: jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:rows], found())
 
     def __call__(self, batch: Any, shared: Any) -> Any:
         """What the function returns for every row, as numpy."""
         return self.begin(batch, shared)()
+
+    def _program(self, one: Any, shared: Any) -> "OverDevices":
+        """That of blocks like this one."""
+        arguments = dict(zip(self._names, (one, shared), strict=True))
+        name = store.name_of(self._function, arguments, self._static)
+        if name not in self._dealt:
+            kept = None if name is None else store.program(name, self._function, arguments, self._static)
+            run = kept or partial(self._function, **self._static)
+
+            def over(blocks: Any, shared: Any) -> Any:
+                return jax.lax.map(lambda one: run(**dict(zip(self._names, (one, shared), strict=True))), blocks)
+
+            self._dealt[name] = OverDevices(over)
+        return self._dealt[name]
 
 
 class OverDevices:

@@ -54,8 +54,7 @@ class JitOnce:
         quick = jax.jit(found.call, compiler_options=_options())
 
         def run(*args: Any, **kwargs: Any) -> Any:
-            leaves = quick(*jax.tree.leaves(self._named(args, kwargs)[0]))
-            return store.assembled(found.result, iter(leaves))
+            return found._replace(call=quick)(**self._named(args, kwargs)[0])
 
         return run
 

@@ -23,6 +23,8 @@ from jaxmpc.files.sealed import SealError, digest, seal, unseal, write_atomic
 
 TRACED_BY = ("jax", "jaxlib", "numpy", "equinox", "mujoco", "mujoco-mjx")
 """Packages whose code a traced program is made of."""
+TRITON = [export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
+"""Kernels that another version may read otherwise: none will, versions are part of a program's name."""
 
 _folder: Path | None = None
 
@@ -34,6 +36,10 @@ class Kept(NamedTuple):
     """From the leaves of the arguments to those of the result; traceable."""
     result: Any
     """Structure of the result, as plain data (`assembled`)."""
+
+    def __call__(self, **arguments: Any) -> Any:
+        """What the function returns for arrays of the shapes it was traced for, by name; traceable."""
+        return assembled(self.result, iter(self.call(*jax.tree.leaves(arguments))))
 
 
 def keep_in(folder: Path | None) -> None:
@@ -123,7 +129,7 @@ def _traced(
         return jax.tree.leaves(result)
 
     # An argument that is not used would be left out, and be missing from the types.
-    exported = export.export(jax.jit(flat, keep_unused=True))(*leaves)
+    exported = export.export(jax.jit(flat, keep_unused=True), disabled_checks=TRITON)(*leaves)
     found = [[list(aval.shape), aval.dtype.name] for aval in exported.out_avals]
     module = np.frombuffer(exported.mlir_module_serialized, np.uint8)
     return {"result": results[-1], "leaves": found}, {"module": module}

@@ -15,6 +15,7 @@ import pytest
 from jaxmpc import Experiment, Params, closed_loops, evaluation
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.xla import store
+from jaxmpc.xla.blocks import OverBlocks
 from jaxmpc.xla.once import JitOnce
 
 TRACED: list[str] = []
@@ -80,6 +81,28 @@ def test_one_object_serves_several_programs(folder: Path) -> None:
         np.testing.assert_allclose(both(*ARGUMENTS, kind="cos").parts[0], 0.3 * np.cos(ARGUMENTS[0]), rtol=1e-15)
     assert TRACED == ["sin", "cos"]
     assert len(list(folder.iterdir())) == 2
+
+
+def test_blocks_of_another_process_are_not_traced_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the number of rows: what is kept is one block, and what all share keeps its structure, None too."""
+    rows = np.linspace(0.0, 3.0, 100)
+
+    def blocks(rows: Any, scale: Any = ARGUMENTS[1]) -> Wave:
+        found: Wave = OverBlocks(wave, 8, {"kind": "sin"})(rows, scale)
+        return found
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "_folder", None)
+        plain = blocks(rows)
+    TRACED.clear()
+    first, second, fewer = blocks(rows), blocks(rows), blocks(rows[:20])
+    assert TRACED == ["sin"]
+    assert_same(first, plain)
+    assert_same(second, plain)
+    np.testing.assert_array_equal(fewer.parts[0], plain.parts[0][:20])
+    other = blocks(rows, {"one": 0.3, "none": None})
+    assert TRACED == ["sin", "sin"]
+    np.testing.assert_array_equal(other.parts[0], plain.parts[0])
 
 
 @pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: data[:200] + b"?" + data[201:], lambda _: b""])

@@ -50,7 +50,7 @@ class _Program(NamedTuple):
 
     members: tuple[int, ...]
     """Which of the job's they are."""
-    run: Callable[[Sequence[Met], Shared], Any]
+    run: Callable[[tuple[Met, ...], Shared], Any]
     shared: Shared
 
 
@@ -75,7 +75,7 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
         for wave, device in zip(waves, cycle(devices), strict=False):
             met = [block if on_cpu else _sent(block, device) for block in islice(blocks, len(wave))]
             met += met[-1:] * (size - len(wave))
-            ran.append(running.submit(_ran, programs, len(wave), met))
+            ran.append(running.submit(_ran, programs, len(wave), tuple(met)))
             judged.append(judging.submit(_judged, job, wave, ran[-1]))
             del met
             if len(ran) > len(devices):
@@ -128,7 +128,7 @@ def _programs(job: Job, constants: _Constants, size: int) -> list[_Program]:
 
 
 @in_float64
-def _ran(programs: list[_Program], blocks: int, met: Sequence[Met]) -> Outcomes:
+def _ran(programs: list[_Program], blocks: int, met: tuple[Met, ...]) -> Outcomes:
     """What came of so many blocks of a wave, one after another; nobody has asked the whole arm yet."""
     fields: dict[int, list[np.ndarray]] = {}
     for program in programs:

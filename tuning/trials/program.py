@@ -1,8 +1,8 @@
 """Trials as one compiled program: motions × robots on each × controllers, design and linear stability included."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,6 +19,7 @@ from jaxmpc.synthesis.params import Params
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.world.robot import Robot
 from jaxmpc.xla.blocks import OverBlocks
+from jaxmpc.xla.once import JitOnce
 
 AT_A_TIME = 12
 """Motions that run at a time on a core: with the trials on each, the lanes stay in the cache (measured)."""
@@ -52,7 +53,7 @@ class Shared(NamedTuple):
 @lru_cache(maxsize=8)
 def wave_program(
     spec: ProgramSpec, varied: tuple[int, ...], structure: Any, motions: int
-) -> Callable[[Sequence[Met], Shared], Any]:
+) -> Callable[[tuple[Met, ...], Shared], Any]:
     """A compiled function of what the blocks of a wave meet, and of what all share.
 
     Args:
@@ -65,42 +66,52 @@ def wave_program(
         Status, time of trouble [s], spectral radius [-], when a guard took gain back (∞ if never) [s], each (motions,
         copies, controllers); RMS, true RMS, largest |e| and swing [N], with three axes besides.
     """
-
-    def run(met: Met, shared: Shared) -> Any:
-        params, path = shared.params, shared.path
-        gains, residual = jax.vmap(lambda p: design_one(p, path.T_s, 1.0, path.force_filter))(params)
-        leaves = list(shared.robot)
-        for place, k in enumerate(varied):
-            leaves[k] = met.own[..., place]
-        robot: Robot = jax.tree.unflatten(structure, leaves)
-        cells = met.own.shape[:2]
-        stiffness = jnp.broadcast_to(robot.tissue.stiffness, cells)
-
-        def radius(K_s: Any, extra: Any, g: Any, K2: Any) -> Any:
-            return spectral_radius(closed_loop_matrix(g, contact_of(K_s, K2, replace(path, delay=1.0 + extra))))
-
-        over_controllers = jax.vmap(radius, in_axes=(None, None, 0, 0))
-        over_copies = jax.vmap(over_controllers, in_axes=(0, 0, None, None))
-        over_motions = jax.vmap(over_copies, in_axes=(0, 0, None, None))
-        radii = over_motions(stiffness, jnp.broadcast_to(robot.extra_delay, cells), gains, params.K2)
-
-        common = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(met.own), *leaf.shape[1:])), shared.signals)
-        signals = common._replace(heart=met.heart, between=met.between, noise=met.noise)
-        data = ScenarioData(stiffness, signals, None, shared.force_limit, robot, path)
-        ran = run_loops(ClosedLoops(gains, params.K2, None, residual), data, world=spec, dtype="float64")
-        lasted = lasted_per_motion(ran).T
-        moments = ran.diverged.T, ran.over_limit.T, ran.lost_contact.T
-        status, when = verdict(stability_status(radii, residual), lasted, *moments)
-
-        def per_trial(field: Any) -> Any:
-            """With dimensions (motions, copies, controllers, 3), NaN where the run did not last."""
-            return jnp.where(lasted[..., None], jnp.transpose(per_motion(field), (2, 1, 0, 3)), jnp.nan)
-
-        found = ran.metrics
-        told = found.rms, found.true_rms, found.peak_error, found.swing
-        return status, when, radii, ran.backed_off.T, *map(per_trial, told)
-
+    static = {"spec": spec, "varied": varied, "structure": structure}
     if jax.default_backend() == "cpu":
-        dealt = OverBlocks(run, min(AT_A_TIME, motions))
+        dealt = OverBlocks(_of_motions, min(AT_A_TIME, motions), static)
         return lambda met, shared: dealt(jax.tree.map(lambda *parts: np.concatenate(parts), *met), shared)
-    return jax.jit(lambda met, shared: run(jax.tree.map(lambda *parts: jnp.concatenate(parts), *met), shared))
+    return partial(_of_blocks, **static)
+
+
+def _of_motions(met: Met, shared: Shared, *, spec: ProgramSpec, varied: tuple[int, ...], structure: Any) -> Any:
+    """What `wave_program` returns, of some motions."""
+    params, path = shared.params, shared.path
+    gains, residual = jax.vmap(lambda p: design_one(p, path.T_s, 1.0, path.force_filter))(params)
+    leaves = list(shared.robot)
+    for place, k in enumerate(varied):
+        leaves[k] = met.own[..., place]
+    robot: Robot = jax.tree.unflatten(structure, leaves)
+    cells = met.own.shape[:2]
+    stiffness = jnp.broadcast_to(robot.tissue.stiffness, cells)
+
+    def radius(K_s: Any, extra: Any, g: Any, K2: Any) -> Any:
+        return spectral_radius(closed_loop_matrix(g, contact_of(K_s, K2, replace(path, delay=1.0 + extra))))
+
+    over_controllers = jax.vmap(radius, in_axes=(None, None, 0, 0))
+    over_copies = jax.vmap(over_controllers, in_axes=(0, 0, None, None))
+    over_motions = jax.vmap(over_copies, in_axes=(0, 0, None, None))
+    radii = over_motions(stiffness, jnp.broadcast_to(robot.extra_delay, cells), gains, params.K2)
+
+    common = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(met.own), *leaf.shape[1:])), shared.signals)
+    signals = common._replace(heart=met.heart, between=met.between, noise=met.noise)
+    data = ScenarioData(stiffness, signals, None, shared.force_limit, robot, path)
+    ran = run_loops(ClosedLoops(gains, params.K2, None, residual), data, world=spec, dtype="float64")
+    lasted = lasted_per_motion(ran).T
+    moments = ran.diverged.T, ran.over_limit.T, ran.lost_contact.T
+    status, when = verdict(stability_status(radii, residual), lasted, *moments)
+
+    def per_trial(field: Any) -> Any:
+        """With dimensions (motions, copies, controllers, 3), NaN where the run did not last."""
+        return jnp.where(lasted[..., None], jnp.transpose(per_motion(field), (2, 1, 0, 3)), jnp.nan)
+
+    found = ran.metrics
+    told = found.rms, found.true_rms, found.peak_error, found.swing
+    return status, when, radii, ran.backed_off.T, *map(per_trial, told)
+
+
+def _joined(met: tuple[Met, ...], shared: Shared, *, spec: ProgramSpec, varied: tuple[int, ...], structure: Any) -> Any:
+    joined: Met = jax.tree.map(lambda *parts: jnp.concatenate(parts), *met)
+    return _of_motions(joined, shared, spec=spec, varied=varied, structure=structure)
+
+
+_of_blocks = JitOnce(_joined, static_argnames=("spec", "varied", "structure"))
