@@ -32,6 +32,7 @@ from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
 from jaxmpc.xla import ops
 from jaxmpc.xla.blocks import padded
 from jaxmpc.xla.once import JitOnce
+from jaxmpc.xla.place import on_cpu
 from jaxmpc.xla.precision import in_float64
 
 ROUNDING = 1e-9
@@ -151,8 +152,8 @@ def _matrices(
     Each operation is compiled for a number of robots, for some seconds in all on a CPU and for many more on a GPU.
     """
     count = len(robots.extra_delay)
-    gains, _ = jax.device_get(_designed(params, T_s, force_filter=force_filter))
-    with jax.default_device(jax.local_devices(backend="cpu")[0]):
+    with on_cpu():
+        gains, _ = jax.device_get(_designed(params, T_s, force_filter=force_filter))
         robots = jax.tree.map(jnp.asarray, padded(robots, 1 << max(6, (count - 1).bit_length())))
         each = jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, params.K2))(robots)
     return each[:count]

@@ -2,12 +2,13 @@
 
 import inspect
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import jax
 
 from jaxmpc.xla import store
+from jaxmpc.xla.place import platform
 
 OPTIONS = {"xla_cpu_use_fusion_emitters": False}
 """XLA's older code generator for CPUs (measured on the arm: 7 s instead of 15 s)."""
@@ -24,10 +25,13 @@ class JitOnce:
         self._function, self._static = function, tuple(static_argnames)
         self._plain = jax.jit(function, static_argnames=self._static)
         self._kept: dict[str, Callable[..., Any] | None] = {}
+        self._by_platform: dict[str, Any] = {}
 
-    @cached_property
+    @property
     def _quick(self) -> Any:
-        return jax.jit(self._function, compiler_options=_options(), static_argnames=self._static)
+        return self._by_platform.setdefault(
+            platform(), jax.jit(self._function, compiler_options=_options(platform()), static_argnames=self._static)
+        )
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Compile if need be, and run."""
@@ -51,7 +55,7 @@ class JitOnce:
         return self._kept[name]
 
     def _as_called(self, found: store.Kept) -> Callable[..., Any]:
-        quick = jax.jit(found.call, compiler_options=_options())
+        quick = jax.jit(found.call, compiler_options=_options(platform()))
 
         def run(*args: Any, **kwargs: Any) -> Any:
             return found._replace(call=quick)(**self._named(args, kwargs)[0])
@@ -67,13 +71,14 @@ class JitOnce:
     def programs(self) -> int:
         """How many programs it has compiled."""
         # No public way tells; every test that counts compilations fails when this one goes.
-        return int(self._quick._cache_size()) + sum(kept is not None for kept in self._kept.values())
+        quick = sum(int(one._cache_size()) for one in self._by_platform.values())
+        return quick + sum(kept is not None for kept in self._kept.values())
 
 
-@lru_cache(maxsize=1)
-def _options() -> dict[str, Any] | None:
-    """`OPTIONS`, where this version of XLA has them and runs on a CPU."""
-    if jax.default_backend() != "cpu":
+@lru_cache
+def _options(platform: str) -> dict[str, Any] | None:
+    """`OPTIONS`, on a CPU, where this version of XLA has them."""
+    if platform != "cpu":
         return None
     try:
         jax.jit(lambda x: x, compiler_options=OPTIONS)(0.0)

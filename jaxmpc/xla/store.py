@@ -20,6 +20,7 @@ import numpy as np
 from jax import export
 
 from jaxmpc.files.sealed import SealError, digest, seal, unseal, write_atomic
+from jaxmpc.xla.place import platform
 
 TRACED_BY = ("jax", "jaxlib", "numpy", "equinox", "mujoco", "mujoco-mjx")
 """Packages whose code a traced program is made of."""
@@ -101,7 +102,8 @@ def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], 
     shapes = header["leaves"]
     # JAX's own file format asks for one more package; all of an exported program but the module follows from its types.
     # Should a JAX no longer take a module so, test_second_process_traces_nothing_and_finds_the_same_bits fails.
-    like = export.export(jax.jit(lambda *_: [jnp.zeros(*leaf) for leaf in shapes], keep_unused=True))(*leaves)
+    zeros = jax.jit(lambda *_: [jnp.zeros(*leaf) for leaf in shapes], keep_unused=True)
+    like = export.export(zeros, platforms=_platforms())(*leaves)
     return Kept(replace(like, mlir_module_serialized=arrays["module"].tobytes()).call, header["result"])
 
 
@@ -129,7 +131,8 @@ def _traced(
         return jax.tree.leaves(result)
 
     # An argument that is not used would be left out, and be missing from the types.
-    exported = export.export(jax.jit(flat, keep_unused=True), disabled_checks=TRITON)(*leaves)
+    whole = jax.jit(flat, keep_unused=True)
+    exported = export.export(whole, platforms=_platforms(), disabled_checks=TRITON)(*leaves)
     found = [[list(aval.shape), aval.dtype.name] for aval in exported.out_avals]
     module = np.frombuffer(exported.mlir_module_serialized, np.uint8)
     return {"result": results[-1], "leaves": found}, {"module": module}
@@ -149,12 +152,20 @@ def _described(tree: Any) -> Any:
     return {"kind": [kind.__module__, kind.__qualname__], "parts": [_described(part) for part in tree]}
 
 
-@lru_cache
+def _platforms() -> list[str] | None:
+    """For which to export; None is that of JAX's first device."""
+    return ["cpu"] if platform() == "cpu" else None
+
+
 def _surroundings() -> list[str]:
-    """Versions and devices."""
+    """Versions, devices, and on which of them what is traced now would run."""
+    return [*_machine(), platform()]
+
+
+@lru_cache
+def _machine() -> list[str]:
     devices = jax.local_devices()
-    machine = f"{jax.default_backend()} {devices[0].device_kind} {len(devices)}"
-    return [*map(version, TRACED_BY), sys.version, machine]
+    return [*map(version, TRACED_BY), sys.version, f"{devices[0].device_kind} {len(devices)}"]
 
 
 @lru_cache

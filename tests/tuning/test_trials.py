@@ -81,7 +81,8 @@ def test_trials_are_on_the_tissues_of_an_experiment_that_has_its_own() -> None:
 def test_the_report_has_every_trial_and_the_worst_as_files() -> None:
     found = outcomes([[1.0, 3.0], [np.nan, 1.0], [2.0, 2.5]], [[0, 0], [2, 0], [0, 0]])
     asked = job(Params(), Params.published("cautious"))
-    report = trials_report(asked, ["text", "cautious"], found, Table(("controller",), [["text"]]))
+    trials = [asked.trial(i) for i in range(len(found.status))]
+    report = trials_report(asked, trials, ["text", "cautious"], found, Table(("controller",), [["text"]]))
     rows = report.rows
     assert rows is not None
     assert (len(rows), list(rows.tissues), rows.group) == (3, ["text", "cautious"], "controller")

@@ -57,8 +57,10 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.files.outputs import check_folder
     from jaxmpc.terminal.arguments import experiment_from, params_from
     from jaxmpc.terminal.process import use_all_cores
+    from jaxmpc.terminal.tables import show
 
     use_all_cores()
+    from jaxmpc.beside import Beside
     from tuning.trials import HARD, MOST, NOMINAL, Job, on_own_tissues
     from tuning.trials import run as run_trials
 
@@ -79,9 +81,15 @@ def run(args: argparse.Namespace) -> int:
     began = time.monotonic()
     try:
         blocks = args.out / "blocks" if args.out else None
-        found = run_trials(job, args.trials, blocks, not args.quiet, None if args.quiet else _teller(job, names))
-        print(f"{args.trials} trials × {len(names)} controllers after {time.monotonic() - began:.0f} s")
-        verdicts = _tables(job, names, found)
+        with Beside(1) as beside:
+            # Of little work and much compiling, which the trials leave a core for while they compile themselves.
+            margins = beside.submit(_margins, names, job)
+            found = run_trials(job, args.trials, blocks, not args.quiet, None if args.quiet else _teller(job, names))
+            print(f"{args.trials} trials × {len(names)} controllers after {time.monotonic() - began:.0f} s")
+            verdicts = _tables(job, names, found)
+            print()
+            told = ("controller", "delay", "M_s", "at N/m", "GM dB", "PM °", "DM ms", "M_s presliding", "at N/m")
+            show(f"linear margins, the worst of {TISSUES} tissues", told, margins.result())
         if args.out:
             _files(args.out, job, names, found, verdicts)
     except OSError as error:
@@ -186,17 +194,18 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> "Table":
         for i in ranked(found, c, LISTED):
             largest, status = found.peak_error[i, c].max(), Status(int(found.status[i, c]))
             print(f"  {i:>6}  {status.name:<11} |e| {number(largest, 2)} N  {draws(job.trial(i))}")
-    print()
-    margins = [row for name, params in zip(names, job.controllers, strict=True) for row in _margins(name, params, job)]
-    show(
-        f"linear margins, the worst of {TISSUES} tissues",
-        ("controller", "delay", "M_s", "at N/m", "GM dB", "PM °", "DM ms", "M_s presliding", "at N/m"),
-        margins,
-    )
     return verdicts_told
 
 
-def _margins(name: str, params: "Params", job: "Job") -> list[list[str]]:
+def _margins(names: list[str], job: "Job") -> list[list[str]]:
+    """A row per controller and delay."""
+    from jaxmpc.xla.place import on_cpu
+
+    with on_cpu():
+        return [row for name, each in zip(names, job.controllers, strict=True) for row in _per_delay(name, each, job)]
+
+
+def _per_delay(name: str, params: "Params", job: "Job") -> list[list[str]]:
     """A row per delay: as the loop runs, and with the joints' friction as springs."""
     import numpy as np
     from msgspec.structs import replace
@@ -226,11 +235,12 @@ def _files(folder: Path, job: "Job", names: list[str], found: "Outcomes", verdic
     from tuning.trials.report import draws, ranked, trials_report, write_csv, write_trial
 
     written = [folder / "trials.csv", folder / "trials.html"]
-    write_csv(written[0], job, names, found)
-    write_report(trials_report(job, names, found, verdicts), written[1])
+    trials = [job.trial(i) for i in range(len(found.status))]
+    write_csv(written[0], trials, names, found)
+    write_report(trials_report(job, trials, names, found, verdicts), written[1])
     for which, c in (("worst", 0), ("worst-against", 1))[: len(names)]:
         i = ranked(found, c, 1)[0]
         written.append(folder / f"{which}.toml")
-        note = f"Trial {i}, seed {job.seed}, the worst of {names[c]}: {draws(job.trial(i))}"
-        write_trial(written[-1], job.trial(i), note)
+        note = f"Trial {i}, seed {job.seed}, the worst of {names[c]}: {draws(trials[i])}"
+        write_trial(written[-1], trials[i], note)
     print("written: " + ", ".join(map(str, written)))

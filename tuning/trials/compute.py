@@ -28,8 +28,8 @@ from tuning.trials.makers import made_by_processes
 from tuning.trials.outcomes import Outcomes
 from tuning.trials.program import Met, Shared, wave_program
 
-BLOCKS_OF_A_WAVE = 28
-"""Blocks that a GPU runs at a time, 20 160 trials: half as many take it as long (measured)."""
+BLOCKS_OF_A_WAVE = 35
+"""Blocks that a GPU runs at a time, 25 200 trials: half as many take it as long (measured)."""
 
 
 class _Constants(NamedTuple):

@@ -73,12 +73,12 @@ def failures(job: Job, names: Sequence[str], first: int, found: Outcomes) -> Ite
         yield f"trial {first + i}: {names[c]} {said}; {draws(job.trial(first + i))}"
 
 
-def write_csv(path: Path, job: Job, names: Sequence[str], found: Outcomes) -> None:
+def write_csv(path: Path, trials: Sequence[Experiment], names: Sequence[str], found: Outcomes) -> None:
     """Every trial a row: what was drawn, and what it did to each controller.
 
     Args:
         path: Where it goes.
-        job: Draws the trials.
+        trials: As they were drawn.
         names: Of the controllers.
         found: What happened.
     """
@@ -90,8 +90,8 @@ def write_csv(path: Path, job: Job, names: Sequence[str], found: Outcomes) -> No
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(drawn + [f"{name}: {column}" for name in names for column in each])
     verdicts = np.stack([found.lost, found.left, found.swinging], axis=-1).astype(int)
-    for i in range(len(found.status)):
-        row = [i, *_drawn(job.trial(i))]
+    for i, trial in enumerate(trials):
+        row = [i, *_drawn(trial)]
         for c in range(len(names)):
             row += [*verdicts[i, c], Status(int(found.status[i, c])).name]
             row += [_short(field[i, c]) for field in (found.when, found.backed_off, found.spectral_radius)]
@@ -107,11 +107,14 @@ def write_trial(path: Path, trial: Experiment, comment: str) -> None:
     write_toml(path, trial.to_dict(), comment)
 
 
-def trials_report(job: Job, names: Sequence[str], found: Outcomes, verdicts: Table) -> Report:
+def trials_report(
+    job: Job, trials: Sequence[Experiment], names: Sequence[str], found: Outcomes, verdicts: Table
+) -> Report:
     """Every trial a row: what was drawn, and what it did to each controller.
 
     Args:
-        job: Draws the trials.
+        job: Who met what.
+        trials: As they were drawn.
         names: Of the controllers, the one that is judged first.
         found: What happened.
         verdicts: How often which verdict fell.
@@ -119,7 +122,7 @@ def trials_report(job: Job, names: Sequence[str], found: Outcomes, verdicts: Tab
     count = len(found.status)
     shares = Section("Verdicts", [f"{count} trials on {job.spread.arms} arms."], [verdicts], _shares(names, found))
     lead = [f"{job.base.name}, seed {job.seed}, {job.base.duration:g} s each."]
-    return Report(f"Trials of {' against '.join(names)}", lead, _rows(job, names, found), [shares], 1)
+    return Report(f"Trials of {' against '.join(names)}", lead, _rows(job, trials, names, found), [shares], 1)
 
 
 def _shares(names: Sequence[str], found: Outcomes) -> list[Chart]:
@@ -140,9 +143,8 @@ def _shares(names: Sequence[str], found: Outcomes) -> list[Chart]:
     return charts
 
 
-def _rows(job: Job, names: Sequence[str], found: Outcomes) -> Candidates:
+def _rows(job: Job, trials: Sequence[Experiment], names: Sequence[str], found: Outcomes) -> Candidates:
     """The trials as rows that can be explored; the controllers stand where tissues do elsewhere."""
-    trials = [job.trial(i) for i in range(len(found.status))]
     columns: dict[str, tuple[str, str, list[float]]] = {
         "stiffness": ("N/m", "stiffness of the tissue", [one.stiffness[0] for one in trials]),
         "delay": ("samples", "between command and effect", [one.delay for one in trials]),

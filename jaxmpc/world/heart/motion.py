@@ -40,11 +40,15 @@ class Motion(RhythmSettings, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if self.kind == "rhythm":
             return
-        for field in msgspec.structs.fields(RhythmSettings):
-            value = getattr(self, field.name)
-            if field.name != "seed" and value != field.default:
+        for name, default in _OF_RHYTHMS.items():
+            value = getattr(self, name)
+            if value != default:
                 remedy = 'Set motion.kind = "rhythm" or remove this key.'
-                raise InputError(f"motion.{field.name}", value, "given for a rhythm only", remedy)
+                raise InputError(f"motion.{name}", value, "given for a rhythm only", remedy)
+
+
+_OF_RHYTHMS = {field.name: field.default for field in msgspec.structs.fields(RhythmSettings) if field.name != "seed"}
+"""Keys of a rhythm alone, and their defaults."""
 
 
 def displacement(motion: Motion, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
