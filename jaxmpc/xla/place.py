@@ -13,7 +13,7 @@ def on_cpu() -> AbstractContextManager[Any]:
 
 
 def platform() -> str:
-    """Of the device on which a program would run that this thread starts now: "cpu", "gpu"."""
+    """Kind of the device on which a program would run that this thread starts now: "cpu", "gpu"."""
     chosen: Any = jax.config.jax_default_device
     if chosen is None:
         return jax.default_backend()
