@@ -18,16 +18,7 @@ from jaxmpc.law.chain import tip as chain_tip
 from jaxmpc.law.computed_torque import Nominal
 from jaxmpc.law.measurement import Measurement
 from jaxmpc.law.ops import Ops
-from jaxmpc.law.scalar import (
-    Scalar,
-    Vector,
-    add,
-    apply,
-    apply_transposed,
-    scale,
-    sub,
-    times,
-)
+from jaxmpc.law.scalar import Scalar, Vector, add, apply, apply_transposed, scale, sub, times
 from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.world import drive, friction, sensor, tissue
 from jaxmpc.world.drive import Drive

@@ -11,25 +11,20 @@ from msgspec.structs import replace
 
 from jaxmpc import described
 from jaxmpc.experiment import Experiment
-from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import digest
-from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
-from jaxmpc.quantities import HIGHEST_M_S, MARGINS
+from jaxmpc.files.toml import located, read_toml
+from jaxmpc.quantities import MARGINS
 from jaxmpc.stability.family import judged_where
 from jaxmpc.synthesis.params import Params
-from tuning.job.axes import axes_of, check_axis, free_table
+from tuning.job.axes import axes_of, check_axis
 from tuning.job.goals import GOALS, MEASURED, OVERSHOOT, check_goals
 from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
-from tuning.job.space import FREE, FREE_OF_KNOTS, KNOTS, Bounds, SearchSpace, axis_of
-
-HARD = {"M_s": HIGHEST_M_S}
-"""What is held unless the job says otherwise."""
-SOFT = {"rms": 0.05}
-"""What is minimised unless the job says otherwise [N]."""
+from tuning.job.space import FREE, KNOTS, Bounds, SearchSpace, axis_of
+from tuning.job.tables import HARD, SOFT, read_tables
 
 
 class TuneSpec(msgspec.Struct, frozen=True, dict=True):
@@ -237,37 +232,4 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         Raises:
             InputError: Names key, value, bound and remedy.
         """
-        known_tables(data, ("experiment", "params", "baseline", "tune", "goals", "scenarios", "risk", "pareto"))
-        tune, goals = dict(data.get("tune", {})), dict(data.get("goals", {}))
-        params = params_table(data.get("params", {}), folder)
-        free = free_table(tune.pop("free", dict.fromkeys(FREE_OF_KNOTS if params.knots else FREE, True)))
-        for kind, table, name in (
-            (TuneSettings, tune, "tune"),
-            (Scenarios, data.get("scenarios", {}), "scenarios"),
-            (Risk, data.get("risk", {}), "risk"),
-        ):
-            known_keys(kind, table, name)
-        ideal = goals.pop("ideal", False)
-        if not isinstance(ideal, bool):
-            raise InputError("goals.ideal", ideal, "true or false", "True judges the paper's ideal damping.")
-        baseline = dict(data.get("baseline", {}))
-        share = baseline.pop("compensation", None)
-        if share is not None and not (isinstance(share, int | float) and 0.0 <= share <= 2.0):
-            raise InputError("baseline.compensation", share, "in [0, 2]", "0 compensates no friction.")
-        soft = goals.pop("soft", SOFT)
-        if not isinstance(soft, dict) or not soft:
-            raise InputError("goals.soft", soft, "a table with a goal", "Write `[goals.soft]` and `rms = 0.05`.")
-        return TuneSpec(
-            experiment=experiment_table(data.get("experiment", {}), folder),
-            params=params,
-            baseline=params_table(baseline, folder, "baseline") if "baseline" in data else None,
-            baseline_compensation=share,
-            tune=convert(tune, TuneSettings, "tune"),
-            free=free,
-            goals=goals or dict(HARD),
-            soft=soft,
-            ideal=ideal,
-            scenarios=convert(data.get("scenarios", {}), Scenarios, "scenarios"),
-            risk=convert(data.get("risk", {}), Risk, "risk"),
-            pareto=data.get("pareto", {}),
-        )
+        return TuneSpec(**read_tables(data, folder))
