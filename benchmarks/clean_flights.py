@@ -23,6 +23,7 @@ from deploy.controller.file import load
 from deploy.controller.limits import ROWS
 from deploy.loop.cycle import CycleResult, OperatorCommand
 from deploy.safety.force_balance import HIDDEN, PUSH
+from deploy.safety.late_force import LATE
 from deploy.safety.machine import OperatingState
 from deploy.safety.plausible import FORCE_JUMP
 from deploy.safety.runaway import ASKED
@@ -36,9 +37,16 @@ HELD = 4.0
 """Time in contact besides the ramp [s]."""
 ARMS: tuple[dict[str, Any], ...] = ({}, {}, {}, {"coulomb": (4.0, 4.5, 2.2, 1.3), "mass_scale": 1.1})
 CASES = tuple(product((-2.0, -5.0), (HEARTS[0], *RHYTHMS, *SCENARIOS), KINDS, STIFFNESSES))
-BOUNDS = {"hidden": HIDDEN, "push": PUSH, "asked": ASKED, "jump": FORCE_JUMP, "overshoot": ROWS["overshoot"].default}
+BOUNDS = {
+    "hidden": HIDDEN,
+    "push": PUSH,
+    "asked": ASKED,
+    "jump": FORCE_JUMP,
+    "late": LATE,
+    "overshoot": ROWS["overshoot"].default,
+}
 """What a flight is ended at: push that friction does not explain [N], push beyond the air's [N], acceleration asked of
-the tip [m/s²], change of the force from one sample to the next [N], measured push over the wanted one [-]."""
+the tip [m/s²], change of the force from one sample to the next [N], its lag [s], measured push over the wanted [-]."""
 
 
 def flown(path: Path, number: int) -> dict[str, Any]:
@@ -56,6 +64,7 @@ def flown(path: Path, number: int) -> dict[str, Any]:
         if result.safety_state.state is OperatingState.CONTACT:
             seen = {"hidden": balance.hidden, "push": balance.push - balance.air}
             seen["asked"] = math.hypot(*session.controller.runtime.last_a)
+            seen["late"] = min(session.controller.runtime.lag)
             if force is not None and last[0] is not None:
                 seen["jump"] = max(abs(new - old) for new, old in zip(force, last[0], strict=True))
             most.update({name: max(most[name], value) for name, value in seen.items()})
@@ -81,7 +90,7 @@ def report(rows: list[dict[str, Any]]) -> int:
             if mine:
                 worst = max(mine, key=lambda row: float(row[name]))
                 where = f"{worst['rhythm']}, {worst['tissue']} {worst['stiffness']:g} N/m, {worst['wanted']:g} N"
-                print(f"  {name:<7}{'heavy' if heavy else 'usual':<6} {worst[name]:8.3f} of {bound:g}: {where}")
+                print(f"  {name:<7}{'heavy' if heavy else 'usual':<6} {worst[name]:8.4f} of {bound:g}: {where}")
     return len(alarms)
 
 

@@ -1,10 +1,11 @@
-"""The force sensor's word, weighed against what else tells of the force: motors, travel, and what the law asks for."""
+"""The force sensor's word, weighed against what else tells of the force: motors, travel, the law's demand, its sine."""
 
 from typing import NamedTuple
 
 from deploy.loop.control import TaskController
 from deploy.safety.force_balance import BalanceState, balance_step
 from deploy.safety.force_estimate import ForceEstimate
+from deploy.safety.late_force import late_step
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from deploy.safety.runaway import runaway_step
@@ -43,7 +44,7 @@ class ForceWatch:
             T_s: Sampling time [s].
         """
         self._controller, self._estimate, self._deepest, self._T_s = controller, estimate, deepest, T_s
-        self.balance, self._runaway = BalanceState(), 0
+        self.balance, self._runaway, self._late = BalanceState(), 0, 0
 
     def judge(self, state: OperatingState, sample: ForceSample, driven: bool, missed: bool) -> Reason:
         """Reason not to believe the sensor, NONE if there is none.
@@ -58,8 +59,9 @@ class ForceWatch:
         if state is not OperatingState.CONTACT:
             return found
         self._runaway, runaway = runaway_step(self._runaway, self._controller.runtime.last_a)
+        self._late, late = late_step(self._late, self._controller.runtime.lag)
         too_deep = self._controller.depth(sample.kinematics.tip) > self._deepest
-        return runaway or (Reason.FORCE_MODEL if too_deep else found)
+        return runaway or late or (Reason.FORCE_MODEL if too_deep else found)
 
     def _weighed(self, state: OperatingState, sample: ForceSample, driven: bool, missed: bool) -> Reason:
         """Whether the motors' torques agree with the measured force."""

@@ -12,13 +12,14 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from deploy.runtime import force_lag
 from deploy.runtime.arm_law import ArmLaw
 from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law import force_control, identification
 from jaxmpc.law.cascade import AxisState
 from jaxmpc.law.force_control import Controller
 from jaxmpc.law.gain_backoff import BackoffState
-from jaxmpc.law.stiffness import StiffnessEstimate
+from jaxmpc.law.stiffness import StiffnessEstimate, StiffnessIdentification
 from jaxmpc.law.vectors import Vector3, Vector4
 
 _FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)
@@ -167,11 +168,20 @@ class ArmRuntime:
     @property
     def dither(self) -> Vector3:
         """Sine that was added to the wanted force [N]; 0 without a schedule."""
+        return self._told_by_sine(identification.dither)
+
+    @property
+    def lag(self) -> Vector3:
+        """By how long the measured force comes after the displacement [s]; 0 where no sine tells it."""
+        return self._told_by_sine(force_lag.lag)
+
+    def _told_by_sine(self, number: Callable[[StiffnessIdentification, StiffnessEstimate], float]) -> Vector3:
+        """A number of each axis' identification."""
         schedule = self._controller.gains.schedule
         if schedule is None:
             return _THREE
         constants = schedule.identification
-        return self._known(lambda tissue: identification.dither(constants, StiffnessEstimate(*tissue)))
+        return self._known(lambda tissue: number(constants, StiffnessEstimate(*tissue)))
 
     def _known(self, number: Callable[[Any], float]) -> Vector3:
         """A number of each axis' estimate of its tissue."""

@@ -1,0 +1,26 @@
+"""By how long the measured force comes after the tip's displacement, as the sine tells that a family adds.
+
+A tissue answers with its force at once. The lock-in (`jaxmpc.law.identification`) has the sine's part of force and
+displacement, Y and X, at its angular frequency ω; a force that comes T late lags by
+
+    ω T = −arg(Y X*)
+
+on every axis, whatever the stiffness. Damping makes the force lead instead.
+"""
+
+import math
+
+from jaxmpc.law.stiffness import StiffnessEstimate, StiffnessIdentification
+
+HEARD = 0.6
+"""Share of the lock-in's memory that must be filled before anything is told [-]: 1.2 s of the sine."""
+
+
+def lag(constants: StiffnessIdentification, estimate: StiffnessEstimate) -> float:
+    """Lag of an axis' force [s]; 0 while the sine does not tell it."""
+    if estimate.listening < 0.5 or estimate.heard < HEARD:
+        return 0.0
+    (Y, Y_imaginary), (X, X_imaginary) = estimate.force[-1], estimate.tip[-1]
+    ahead = math.atan2(Y_imaginary * X - Y * X_imaginary, Y * X + Y_imaginary * X_imaginary)
+    cosine, sine = constants.turn
+    return -ahead * constants.T_s / math.atan2(sine, cosine)
