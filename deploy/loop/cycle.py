@@ -202,8 +202,9 @@ class Cycle:
         )
         if reason is not None:
             counts = tuple(None if i == culprit else each for i, each in enumerate(counts))
-        for i, each in enumerate(counts):
-            self._age[i] = 0 if each is not None else self._age[i] + 1 + missed
+        for i, (each, late) in enumerate(zip(counts, reading.position_age, strict=True)):
+            cycles = self._age[i] + 1 if each is None else late
+            self._age[i] = cycles + missed if cycles else 0
         age = max(self._age)
         oldest = culprit if reason is not None else self._age.index(age)
         if age <= machine.BRIDGED:

@@ -27,7 +27,8 @@ class WamArm:
     """A started arm; `deploy.wam.startup.startup` makes it.
 
     In a cycle come `request`, `collect`, then the torques. Replies do not say which question they answer, so what is
-    there before the question is asked is late and never used. After a missing reply, cycles wait for a second one
+    there before the question is asked is late and never taken for fresh: at best it is the one position that the last
+    cycle missed, and as old as that, until a fresh one comes. After a missing reply, cycles wait for a second one
     until their time is up, and two different ones in a cycle count as none, since either may be the late one.
 
     Attributes:
@@ -75,6 +76,7 @@ class WamArm:
         self._polls = [each for i in range(4) for each in (mode, own[2 * i], pen, own[2 * i + 1])]
         self._poll_every = poll_every
         self._new: list[int | None] = [None] * 4
+        self._late: list[int | None] = [None] * 4
         self._answers, self._doubt, self._ages = [1] * 4, [0] * 4, [0] * 4
         self._waiting = 0
         self._force_age = self._safety_age = LONG_AGO
@@ -88,9 +90,13 @@ class WamArm:
     def request(self) -> bool:
         """Begin a cycle: ask for positions and force, now and then for a state; False if the bus refuses."""
         self._other.clear()
+        self._late = late = [None] * 4
         for frame, _ in self.bus.drain(BACKLOG):
             if (slot := self._slots.get(frame.id)) is not None:
                 self.late += 1
+                if not (self._answers[slot] or self._doubt[slot]):
+                    counts = position_counts(frame.data)
+                    late[slot] = None if counts is None else self._believed(slot, counts)
                 self._answers[slot] += 1  # the missing one has come, if one was missing
                 self._doubt[slot] = 0
             elif not frame.id & 0x418 == 0x408:  # nor a late force, of the groups 8 to 15
@@ -155,10 +161,7 @@ class WamArm:
         self._answers[slot] += 1
         if self._answers[slot] == 1:
             self._waiting -= 1
-            if -self._largest_jump[slot] <= counts - self.counts[slot] <= self._largest_jump[slot]:
-                self._new[slot] = counts
-            else:
-                self.jumps += 1
+            self._new[slot] = self._believed(slot, counts)
             return
         if self._doubt[slot]:
             self._doubt[slot] = 0
@@ -168,6 +171,13 @@ class WamArm:
         else:
             self.doubtful += self._new[slot] is not None
             self._new[slot] = None
+
+    def _believed(self, slot: int, counts: int) -> int | None:
+        """A motor's counts, None where they are too far away."""
+        if -self._largest_jump[slot] <= counts - self.counts[slot] <= self._largest_jump[slot]:
+            return counts
+        self.jumps += 1
+        return None
 
     def _take_property(self, frame: Frame) -> None:
         if frame.id == BROADCAST:
@@ -195,12 +205,12 @@ class WamArm:
     def _reading(self) -> Reading:
         ages, new = self._ages, self._new
         for i in range(4):
-            counts = new[i]
+            counts, age = (new[i], 0) if new[i] is not None else (self._late[i], 1)
             if counts is None:
                 ages[i] += 1
             else:
-                self.counts[i] = counts
-                ages[i] = 0
+                self.counts[i] = new[i] = counts
+                ages[i] = age
         wrench = self.sensor.read()
         self._force_age = self._force_age + 1 if wrench is None else 0
         self._safety_age += 1

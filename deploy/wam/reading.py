@@ -11,7 +11,8 @@ class Reading(NamedTuple):
     """Measurements of one cycle. Motors count from 1 to 4 as in the packed torque.
 
     Attributes:
-        counts: Count of each motor's encoder in this cycle; None where none came, or none that can be true.
+        counts: Count of each motor's encoder in this cycle, or in the last if its reply has come only now; None where
+            none came, or none that can be true.
         position_age: Cycles since the motor's last accepted counts, 0 if they are of this one.
         force: This cycle's force on the tissue in the world's frame [N], or None.
         force_age: Cycles since there was one.

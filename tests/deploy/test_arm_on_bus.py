@@ -130,14 +130,50 @@ def test_a_force_that_never_came_is_ancient(rig):
     assert rig.cycle(*positions()).force_age > 1000
 
 
-def test_late_replies_are_counted_and_never_used(rig):
+def test_a_late_reply_is_as_old_as_it_is_and_never_taken_for_fresh(rig):
     rig.cycle(*whole())
     reading = rig.cycle(*positions(moved(1), (1, 2, 3)), FORCE, MOMENT, late=positions(moved(1), (4,)))
     assert reading.position_age == (0, 0, 0, 1)
-    reading = rig.cycle(FORCE, MOMENT)  # of this cycle nothing: the late one must not stand in
-    assert reading.counts == (None,) * 4
+    reading = rig.cycle(FORCE, MOMENT)  # of this cycle nothing: the late one stands in as that of the last
+    assert reading.counts == (None, None, None, moved(1)[3])
+    assert reading.position_age == (1, 1, 1, 1)
     assert rig.arm.late == 1
-    assert rig.arm.counts[3] == START[3]
+    assert rig.cycle(*whole(moved(3))).position_age == (0, 0, 0, 0)
+
+
+def test_replies_that_are_always_a_cycle_late_are_a_cycle_old(rig):
+    rig.cycle(*whole())
+    rig.cycle(FORCE, MOMENT, late=positions(moved(1)))
+    for k in range(2, 100):
+        reading = rig.cycle(FORCE, MOMENT, late=positions(moved(k)))
+        assert (reading.counts, reading.position_age) == (moved(k - 1), (1, 1, 1, 1))
+
+
+def test_a_fresh_reply_wins_over_a_late_one(rig):
+    rig.cycle(*whole())
+    rig.cycle(FORCE, MOMENT, late=positions(moved(1)))
+    reading = rig.cycle(*whole(moved(2)))
+    assert (reading.counts, reading.position_age) == (moved(2), (0, 0, 0, 0))
+
+
+def test_a_reply_that_may_be_older_than_the_last_cycle_is_never_used(rig):
+    rig.cycle(*whole())
+    rig.cycle(FORCE, MOMENT)
+    rig.cycle(FORCE, MOMENT, late=positions(moved(1)))  # of the first or of the second question
+    reading = rig.cycle(FORCE, MOMENT)
+    assert (reading.counts, reading.position_age) == ((None,) * 4, (3, 3, 3, 3))
+
+
+def test_a_late_reply_that_nobody_missed_is_never_used(rig):
+    rig.cycle(*whole(), late=positions(moved(7)))
+    assert rig.cycle(FORCE, MOMENT).counts == (None,) * 4
+
+
+@pytest.mark.parametrize("by", [1025, -1025])
+def test_a_late_jump_is_refused(rig, by):
+    rig.cycle(FORCE, MOMENT, late=positions(moved(by)))
+    assert rig.cycle(FORCE, MOMENT).counts == (None,) * 4
+    assert rig.arm.jumps == 4
 
 
 def test_a_late_force_is_never_used(rig):

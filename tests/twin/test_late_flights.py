@@ -1,0 +1,31 @@
+"""A family whose force sensor is late ends contact; a sensor in time, or a tissue that damps, does not."""
+
+import pytest
+
+from benchmarks.lying_sensor import fly
+from deploy.controller.artifact import Artifact
+from deploy.controller.file import load
+from deploy.safety.reasons import Reason
+from jaxmpc import Experiment, Params
+from jaxmpc.export.freezing import freeze_controller
+
+pytestmark = pytest.mark.oracle
+
+
+@pytest.fixture(scope="module")
+def family(tmp_path_factory: pytest.TempPathFactory) -> Artifact:
+    file = tmp_path_factory.mktemp("family") / "controller.npz"
+    freeze_controller(file, Params.published("family"), Experiment.published("family-wam"), {"M_s": 2.0}, ideal=False)
+    return load(file)
+
+
+@pytest.mark.parametrize("wanted", [-2.0, -5.0])
+def test_a_force_that_comes_5_ms_late_is_stopped(family: Artifact, wanted: float) -> None:
+    found = fly(family, ("force:delayed=5@0.15",), 810.0, "elastic", wanted)
+    assert found.reason is Reason.FORCE_MODEL
+
+
+@pytest.mark.parametrize(("fault", "tissue"), [("force:delayed=1@0.15", "elastic"), (None, "hunt-crossley")])
+def test_a_millisecond_and_damping_are_not(family: Artifact, fault: str | None, tissue: str) -> None:
+    found = fly(family, (fault,) if fault else (), 810.0, tissue, -5.0)
+    assert found.reason is Reason.FINISHED
