@@ -22,6 +22,16 @@ ALLOWED_DEATHS = 3
 """So many workers of ours may die of one chunk; a scheduler of the user's has its own `allowed-failures`."""
 REPLACE_S = 5.0
 """So often workers of ours that are missing are started anew [s]."""
+_SETTINGS = {
+    "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
+    # Progress and wrong input are ours to tell.
+    "distributed.admin.log-length": 0,
+    # Nobody asks for a worker's profile.
+    "distributed.worker.profile.enabled": False,
+    # A worker that returns every block's memory to the system has to be given it again for the next.
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+}
+"""Dask's options, for a scheduler and workers of ours."""
 _SECURE = ("tcp://", "tls://", "ucx://", "ws://", "wss://")
 
 
@@ -90,9 +100,7 @@ class DaskCrew(Crew):
         distributed, config = _dask()
         self._told, self._cores, self._local = told, cores, None
         self._wanted, self._replaced = workers, time.monotonic()
-        # Progress and wrong input are ours to tell.
-        settings = {"distributed.scheduler.allowed-failures": ALLOWED_DEATHS, "distributed.admin.log-length": 0}
-        with config.set(settings):
+        with config.set(_SETTINGS):
             if address is None:
                 self._local = distributed.LocalCluster(
                     n_workers=workers,
