@@ -1,14 +1,16 @@
-"""How long XLA has compiled in this process, and how long it would have, had no program been remembered on disk."""
+"""How long this process has traced and compiled, and how long it would have, had no program been remembered on disk."""
 
 from functools import cache
 from typing import NamedTuple
+
+from jaxmpc.xla import store
 
 SPENT, SAVED = "/jax/core/compile/backend_compile_duration", "/jax/compilation_cache/compile_time_saved_sec"
 """Events of JAX; the first includes loading what is remembered."""
 
 
 class Compiling(NamedTuple):
-    """Time of compiling."""
+    """Time of tracing and compiling."""
 
     spent: float = 0.0
     """That it took [s]."""
@@ -23,14 +25,15 @@ class Compiling(NamedTuple):
 def so_far() -> Compiling:
     """Since the first call in this process."""
     heard = _heard()
-    return Compiling(heard[SPENT], heard[SPENT] + heard[SAVED])
+    spent = heard[SPENT] + heard[store.TRACED]
+    return Compiling(spent, spent + heard[SAVED] + heard[store.SAVED])
 
 
 @cache
 def _heard() -> dict[str, float]:
     from jax import monitoring
 
-    total = {SPENT: 0.0, SAVED: 0.0}
+    total = dict.fromkeys((SPENT, SAVED, store.TRACED, store.SAVED), 0.0)
 
     def hear(event: str, duration_secs: float, **_: object) -> None:
         if event in total:

@@ -6,6 +6,7 @@ is kept is the program as `jax.export` writes it, under a name that everything i
 
 import hashlib
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import export
+from jax import export, monitoring
 
 from jaxmpc.files.sealed import SealError, digest, seal, unseal, write_atomic
 from jaxmpc.xla.place import platform
@@ -26,6 +27,9 @@ TRACED_BY = ("jax", "jaxlib", "numpy", "equinox", "mujoco", "mujoco-mjx")
 """Packages whose code a traced program is made of."""
 TRITON = [export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
 """Kernels that another version may read otherwise: none will, versions are part of a program's name."""
+
+TRACED, SAVED = "/jaxmpc/store/traced_sec", "/jaxmpc/store/tracing_saved_sec"
+"""Events for `jax.monitoring`: how long tracing took, or had taken where the program is there [s]."""
 
 _folder: Path | None = None
 
@@ -89,12 +93,16 @@ def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], 
     leaves, tree = jax.tree.flatten(arguments)
     try:
         header, arrays = unseal(path.read_bytes())
+        monitoring.record_event_duration_secs(SAVED, header["traced_s"])
     except (OSError, SealError):
+        began = time.perf_counter()
         try:
             header, arrays = _traced(function, leaves, tree, static)
         # Of any type: what cannot be exported is then traced in the ordinary way, which says what is wrong if need be.
         except Exception:
             return None
+        header["traced_s"] = time.perf_counter() - began
+        monitoring.record_event_duration_secs(TRACED, header["traced_s"])
         # A full disk costs the next run its tracing, nothing more.
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,7 @@
 """What a machine remembers of its runs: how fast rows are, what starting costs, and what compiling adds."""
 
 import json
+import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -9,8 +10,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import msgspec
+import numpy as np
 import pytest
 
+from jaxmpc.xla import store
 from sweeps import rates
 from sweeps.blocks import block_of, padded
 from sweeps.compiling import Compiling, so_far
@@ -109,3 +112,20 @@ def test_compiling_is_heard_of() -> None:
     before = so_far()
     jnp.arange(3.0)
     assert so_far().since(before).spent == 0.0
+
+
+def slow_to_trace(x: Any) -> Any:
+    time.sleep(0.3)
+    return x + 1.0
+
+
+def test_a_trace_that_is_kept_says_what_tracing_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "_folder", tmp_path)
+    took = []
+    for _ in range(2):
+        before = so_far()
+        assert store.program("name", slow_to_trace, {"x": np.ones(3)}, {}) is not None
+        took.append(so_far().since(before))
+    traced, loaded = took
+    assert min(traced.spent, traced.anew, loaded.anew) >= 0.3
+    assert loaded.spent < 0.3
