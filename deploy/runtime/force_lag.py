@@ -23,4 +23,5 @@ def lag(constants: StiffnessIdentification, estimate: StiffnessEstimate) -> floa
     (Y, Y_imaginary), (X, X_imaginary) = estimate.force[-1], estimate.tip[-1]
     ahead = math.atan2(Y_imaginary * X - Y * X_imaginary, Y * X + Y_imaginary * X_imaginary)
     cosine, sine = constants.turn
-    return -ahead * constants.T_s / math.atan2(sine, cosine)
+    late: float = -ahead * constants.T_s / math.atan2(sine, cosine)
+    return late

@@ -90,7 +90,8 @@ class WamArm:
     def request(self) -> bool:
         """Begin a cycle: ask for positions and force, now and then for a state; False if the bus refuses."""
         self._other.clear()
-        self._late = late = [None] * 4
+        late: list[int | None] = [None] * 4
+        self._late = late
         for frame, _ in self.bus.drain(BACKLOG):
             if (slot := self._slots.get(frame.id)) is not None:
                 self.late += 1
