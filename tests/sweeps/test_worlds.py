@@ -148,9 +148,16 @@ def test_a_recording_travels_by_its_content(tmp_path: Path) -> None:
 
 def test_every_key_of_controller_and_experiment_has_a_place() -> None:
     names = known_names()
-    assert {"lam", "disturbance_order", "delay", "arm.coulomb", "sensor.noise", "motion.seed", "tissue.kind"} <= {
-        *names
-    }
+    assert {
+        "lam",
+        "disturbance_order",
+        "designed_delay",
+        "delay",
+        "arm.coulomb",
+        "sensor.noise",
+        "motion.seed",
+        "tissue.kind",
+    } <= {*names}
     assert len(names) == len(set(names))
     assert all(target(name).unit for name in names)
     assert set(UNITS) <= set(names)
