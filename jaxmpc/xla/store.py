@@ -93,7 +93,7 @@ def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], 
     leaves, tree = jax.tree.flatten(arguments)
     try:
         header, arrays = unseal(path.read_bytes())
-        monitoring.record_event_duration_secs(SAVED, header["traced_s"])
+        monitoring.record_event_duration_secs(SAVED, header.get("traced_s", 0.0))
     except (OSError, SealError):
         began = time.perf_counter()
         try:
