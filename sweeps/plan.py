@@ -13,7 +13,7 @@ import numpy as np
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
-from jaxmpc.files.sealed import LARGEST, canonical_json, digest
+from jaxmpc.files.sealed import LARGEST, canonical_json, digest, write_atomic
 from jaxmpc.quantities import AXES, METRICS, PARAMETERS
 from jaxmpc.synthesis.params import Params
 from sweeps.goal import SweepGoal
@@ -142,7 +142,7 @@ class Plan:
             content = self.files[name]
             path = folder / (name.removeprefix(_SHA) + (".npz" if content.startswith(b"PK") else ".csv"))
             if not path.exists():
-                path.write_bytes(content)
+                write_atomic(path, content)
             data["motion"] = {**data["motion"], "file": str(path)}
         return data
 

@@ -12,6 +12,7 @@ from jaxmpc.files.errors import InputError, nearest, plain
 from jaxmpc.terminal.folding import folded_output
 from jaxmpc.terminal.interruption import always_heard
 from jaxmpc.terminal.parser import CommandParser
+from jaxmpc.terminal.process import silence_xla
 
 
 class Verb(NamedTuple):
@@ -72,6 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # A terminal that cannot show ≤ shows ?; it is no reason to stop.
         if reconfigure := getattr(stream, "reconfigure", None):
             reconfigure(errors="replace")
+    silence_xla()
     with folded_output(), always_heard():
         return _main(argv)
 

@@ -43,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: A controller, the experiment or an argument is wrong.
     """
+    from jaxmpc.files.outputs import check_file, check_folder
     from jaxmpc.terminal.arguments import experiment_from
     from jaxmpc.terminal.process import use_all_cores
 
@@ -50,8 +51,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("controllers", len(args.what), f"at most {MOST}", "Compare fewer at once.")
     if not 0 <= args.seeds <= 10_000:
         raise InputError("--seeds", args.seeds, "in [0, 10000]", "8 are usual; 0 leaves the intervals out.")
-    if args.output.suffix != ".html":
-        raise InputError("-o", args.output, "a file ending in .html", "Rename it.")
+    check_folder("-o", args.output.parent)
+    if args.output.suffix != ".html" or args.output.parent.is_dir():
+        check_file("-o", args.output, ".html")
     contenders = named([contender_from(text) for text in args.what])
     experiment = experiment_from(args.experiment)
     use_all_cores()

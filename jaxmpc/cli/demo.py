@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         frozen = beside.submit(lambda: _freeze(folder, simulated.result()))
         with _step("1/6 the paper's design, both parameter sets, on Table I of the linear loop"):
             _paper(Params.published("text"), Params.published("printed"))
-        with _step("2/6 linear loop, without the robot's limits: a sweep of 5 120 controllers × 3 tissues"):
+        with _step("2/6 linear loop, without the robot's limits: a sweep of 5120 controllers × 3 tissues"):
             swept = _sweep(folder)
         with _step("3/6 linear loop, without the robot's limits: autotuning by gradient, M_s ≤ 2 held at every tissue"):
             tuned = _tune(folder)

@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from deploy.flight.replay import compare, inputs_of, table, through_runtime
     from jaxmpc.files.outputs import check_file
 
+    check_file("--report", args.report, ".html")
     check_file("--picture", args.picture, ".png", ".svg", ".pdf")
     if not 0.0 < args.tolerance < 1.0:
         raise InputError("--tolerance", args.tolerance, "in (0, 1)", "Rounding stays below 1e-12.")
@@ -71,17 +72,17 @@ def run(args: argparse.Namespace) -> int:
         bound = "one with at least a second of control in it"
         raise InputError("recording", args.recording, bound, "Nothing of this one can be computed anew.")
     parted = [row for row in everything if row.parts]
-    if args.report:
-        from jaxmpc.cli.flight_report import flight_report
-
-        flight_report(args.report, recording, again, rows)
-        print(f"\nreport: {args.report}")
     if parted:
         first = min(parted, key=lambda row: row.first)
         verdict = f"they part: first {first.signal} at {first.first:.3f} s, by {first.by:.3g} {first.unit}"
     else:
         verdict = "the same, within the tolerance"
     print(f"\n{verdict}")
+    if args.report:
+        from jaxmpc.cli.flight_report import flight_report
+
+        flight_report(args.report, args.recording.stem, recording, inputs, again, rows, verdict)
+        print(f"report: {args.report}")
     if args.picture and find_spec("matplotlib"):
         _draw(args.picture, recording, f"replayed: {verdict}")
         print(f"picture: {args.picture}")

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     outcome, still = with_heart_still(params, experiment)
     compared = {label: simulated(other, experiment) for label, other in others.items()}
     _tables(params.architecture, outcome, compared, experiment)
-    row = _figures(folder, experiment, outcome, still)
+    row = _figures(folder, experiment, _label(args.params, params), outcome, still)
     if filmed and row is not None:
         film(filmed, experiment, outcome, row)
         print(f"film: {filmed}")
@@ -164,7 +164,9 @@ def _tables(label: str, outcome: "Outcome", compared: dict[str, "Outcome"], expe
         show(f"RMS of {label} lower by", comparison.REDUCTION_HEADER, rows, keys=2)
 
 
-def _figures(folder: Path, experiment: "Experiment", outcome: "Outcome", still: "Outcome") -> int | None:
+def _figures(
+    folder: Path, experiment: "Experiment", controller: str, outcome: "Outcome", still: "Outcome"
+) -> int | None:
     """Draw the worst of what ended well; its row, or None where nothing did."""
     from jaxmpc.pictures.experiment_figures import experiment_figure, row_to_draw, spectrum_figure
     from jaxmpc.terminal.tables import show
@@ -174,12 +176,12 @@ def _figures(folder: Path, experiment: "Experiment", outcome: "Outcome", still: 
         print("figures: none, because no run stayed finite at any stiffness")
         return None
     path = folder / f"{experiment.name}.png"
-    experiment_figure(path, experiment, outcome, still, row)
+    experiment_figure(path, experiment, controller, outcome, still, row)
     others = ", the worst of them" if len(experiment.stiffness) > 1 else ""
     print(f"figure: {path} ({experiment.stiffness[row]:g} N/m{others})")
     if still is not outcome:
         path = folder / f"{experiment.name}-spectrum.png"
-        found = spectrum_figure(path, experiment, outcome, still, row)
+        found = spectrum_figure(path, experiment, controller, outcome, still, row)
         amplitudes = [
             [f"{frequency:.2f}", *(f"{newton:.2f} / {mm:.2f}" for newton, mm in zip(force, motion, strict=True))]
             for frequency, force, motion in zip(found.frequency, found.force.T, found.motion.T, strict=True)

@@ -146,9 +146,18 @@ def write_atomic(path: Path, data: bytes) -> None:
     """Write a file so that after a crash at any moment it is there whole, or as it was before.
 
     Raises:
-        OSError: The disk is full or the folder not writable; no partial file stays behind.
+        OSError: The disk is full or the folder not writable, with the file's name; no partial file stays behind.
     """
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        _write_atomic(path, data)
+    except OSError as error:
+        error.filename = f"{path}"
+        raise
+
+
+def _write_atomic(path: Path, data: bytes) -> None:
+    # Of a name as long as can be a part, since the file's own must not become too long.
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:50]}.")
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)

@@ -1,5 +1,6 @@
 """Figures of one experiment, laid out as the paper's Figs. 3 and 4."""
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
 
 COLOURS = (TUNED, "#3a7d44", ACCENT)
 """X, Y, Z."""
+QUIET = "#5b616b"
+"""Without motion: what the noise alone leaves, over which the rest stands."""
+TITLE = 76
+"""Characters of a title's line."""
 SHOWN_HZ = 8.0
 """Where the spectrum ends: the paper's last peak is at 6.32 [Hz]."""
 
@@ -41,21 +46,28 @@ def disturbance_seen(experiment: Experiment, outcome: "Outcome", still: "Outcome
     )
 
 
+def title_of(experiment: Experiment, controller: str, row: int, notes: str) -> str:
+    """What ran on which tissue, and below it what there is to know, in lines that the figure holds."""
+    worst = f", the worst of {len(experiment.stiffness)}" if len(experiment.stiffness) > 1 else ""
+    ran = f"{experiment.name}, {controller}, K_s = {experiment.stiffness[row]:g} N/m{worst}"
+    return "\n".join([*textwrap.wrap(ran, TITLE), *textwrap.wrap(notes, TITLE)])
+
+
 def experiment_figure(
-    path: Path, experiment: Experiment, outcome: "Outcome", still: "Outcome", row: int | None = None
+    path: Path, experiment: Experiment, controller: str, outcome: "Outcome", still: "Outcome", row: int
 ) -> None:
     """Disturbance, force and residual over time, as the paper's Fig. 3.
 
     Args:
         path: Where it goes.
         experiment: What was run.
+        controller: Its name.
         outcome: Its outcome, with trace.
         still: The same without heart motion, with trace.
-        row: Which stiffness; the middle one unless given.
+        row: Which stiffness.
     """
     assert outcome.trace is not None
     assert still.trace is not None
-    row = len(experiment.stiffness) // 2 if row is None else row
     t = np.arange(experiment.steps) * experiment.sampling_time
     wanted, force = np.asarray(outcome.trace.force_ref)[row, :, :, 0], np.asarray(outcome.trace.force)[row]
     residual, quiet = force - wanted, np.asarray(still.trace.force)[row] - wanted
@@ -75,13 +87,16 @@ def experiment_figure(
             panel, counts = panels[axis], scored[:, axis]
             rms = [1e3 * np.sqrt(np.mean(x[axis, counts] ** 2)) for x in (residual, quiet)]
             panel.plot(*outline(t, residual[axis]), color=colour, lw=0.6, label=f"Heartbox on, RMS {rms[0]:.0f} mN")
-            panel.plot(*outline(t, quiet[axis]), color="black", lw=0.5, label=f"Heartbox off, RMS {rms[1]:.0f} mN")
+            panel.plot(*outline(t, quiet[axis]), color=QUIET, lw=0.5, label=f"Heartbox off, RMS {rms[1]:.0f} mN")
             panel.set_ylabel(f"residual {AXES[axis].upper()} [N]")
             panel.set_ylim(-bound, bound)
             panel.legend(ncols=2, loc="upper right", borderaxespad=0.1)
             if experiment.settle:
                 panel.axvspan(0.0, experiment.settle, color=BASELINE, alpha=0.15, lw=0.0)
-        top.set_title(f"{experiment.name}, $K_s$ = {experiment.stiffness[row]:g} N/m (shaded: not scored)", loc="left")
+        lost = float(outcome.when[row]) if outcome.status[row] == Status.LOST_CONTACT else None
+        notes = ["shaded: not scored"] if experiment.settle else []
+        notes += [] if lost is None else [f"dotted: contact lost at {lost:.1f} s"]
+        top.set_title(title_of(experiment, controller, row, "; ".join(notes)), loc="left", parse_math=False)
         top.set_ylabel("disturbance [N]")
         applied.set_ylabel("applied force [N]")
         for panel in (top, applied):
@@ -90,18 +105,24 @@ def experiment_figure(
             panel.legend(ncols=4, loc="upper right", borderaxespad=0.1)
         for panel in axes:
             panel.set_xlim(0.0, experiment.duration)
+            if lost is not None:
+                # Ends below the legend.
+                panel.axvline(lost, ymax=0.85, color="black", lw=0.8, ls=":")
         for panel in axes[:-1]:
             panel.tick_params(labelbottom=False)
         panels[-1].set_xlabel("time [s]")
         panels[-1].figure.align_ylabels(axes)
 
 
-def spectrum_figure(path: Path, experiment: Experiment, outcome: "Outcome", still: "Outcome", row: int) -> Peaks:
+def spectrum_figure(
+    path: Path, experiment: Experiment, controller: str, outcome: "Outcome", still: "Outcome", row: int
+) -> Peaks:
     """Power spectral density of the disturbance with its peaks marked, as the paper's Fig. 4.
 
     Args:
         path: Where it goes.
         experiment: What was run.
+        controller: Its name.
         outcome: Its outcome, with trace.
         still: The same without heart motion, with trace.
         row: Which stiffness.
@@ -127,10 +148,7 @@ def spectrum_figure(path: Path, experiment: Experiment, outcome: "Outcome", stil
         panel.set_xlim(0.0, SHOWN_HZ)
         panel.set_xlabel("frequency [Hz]")
         panel.set_ylabel("disturbance [N²/Hz]")
-        panel.set_title(
-            f"{experiment.name}, $K_s$ = {experiment.stiffness[row]:g} N/m: {seconds:g} s, "
-            f"bins of {1.0 / seconds:.2g} Hz, Hann window; peaks in Hz",
-            loc="left",
-        )
+        notes = f"{seconds:g} s, bins of {1.0 / seconds:.2g} Hz, Hann window; peaks in Hz"
+        panel.set_title(title_of(experiment, controller, row, notes), loc="left", parse_math=False)
         panel.legend(loc="upper right")
     return found

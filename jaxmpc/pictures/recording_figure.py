@@ -13,6 +13,8 @@ from jaxmpc.quantities import AXES
 
 SHADES = {"approach": "#e8c468", "contact": "#9fd3c7", "retract": "#b8b8d1", "fault": ACCENT}
 """Background of a state; the others have none."""
+JOINTS = ("#23272e", "#b07d2b", "#7d5ba6", BASELINE)
+"""J1 to J4."""
 ROOM = 0.05
 """Share of the picture's width that a state's name takes."""
 
@@ -31,17 +33,17 @@ def recording_figure(
     """
     t = signals["time"][:, 0]
     force, wanted = signals["force"], signals["force_ref"]
+    in_contact = _state(signals, names) == "contact"
     with figure(path, rows=5, size=(9.0, 10.0)) as axes:
         *panels, torques, guard = axes
         for axis, (panel, colour) in enumerate(zip(panels, COLOURS, strict=True)):
             panel.plot(*outline(t, force[:, axis]), color=colour, lw=0.8, label="measured")
             panel.plot(*outline(t, wanted[:, axis]), color="black", lw=0.9, ls="--", label="wanted")
             panel.set_ylabel(f"force {AXES[axis].upper()} [N]")
-            _lost(panel, t, force[:, axis])
-        for joint in range(4):
-            shade = str(0.15 + 0.18 * joint)
-            torques.plot(*outline(t, signals["torque"][:, joint]), color=shade, lw=0.7, label=f"J{joint + 1}")
-        clamped = (signals["clamped"][:, 0] > 0.0) & (_state(signals, names) == "contact")
+            _lost(panel, t, force[:, axis], in_contact)
+        for joint, colour in enumerate(JOINTS):
+            torques.plot(*outline(t, signals["torque"][:, joint]), color=colour, lw=0.7, label=f"J{joint + 1}")
+        clamped = (signals["clamped"][:, 0] > 0.0) & in_contact
         torques.plot(t[clamped], np.zeros(clamped.sum()), "|", color=ACCENT, ms=10.0, label=f"{clamped.sum()} clamped")
         torques.set_ylabel("torque [N m]")
         guard.plot(*outline(t, signals["gain"][:, 0]), color=TUNED, lw=1.0, label="gain left by the guard")
@@ -62,7 +64,7 @@ def recording_figure(
             panel.legend(loc="upper right", ncols=6, borderaxespad=0.1, fontsize=8.0)
         for panel in axes[:-1]:
             panel.tick_params(labelbottom=False)
-        panels[0].set_title(title, loc="left", pad=18.0)
+        panels[0].set_title(title, loc="left", pad=18.0, parse_math=False)
         guard.set_xlabel(f"time since the first cycle [s]; {parted}")
         guard.figure.align_ylabels(axes)
 
@@ -89,10 +91,13 @@ def _shade(panel: Any, t: np.ndarray, state: np.ndarray, *, named: bool) -> None
             panel.text(middle, 1.02, name, ha="center", va="bottom", fontsize=8.0, color=BASELINE, transform=where)
 
 
-def _lost(panel: Any, t: np.ndarray, force: np.ndarray) -> None:
-    """Samples without a force."""
-    missing = ~np.isfinite(force)
-    if missing.any():
-        low = panel.get_ylim()[0]
-        label = f"{missing.sum()} without a force"
-        panel.plot(t[missing], np.full(missing.sum(), low), "|", color=ACCENT, ms=8.0, label=label)
+def _lost(panel: Any, t: np.ndarray, force: np.ndarray, in_contact: np.ndarray) -> None:
+    """Samples without a force; those that the law missed in contact stand out."""
+    low, missing = panel.get_ylim()[0], ~np.isfinite(force)
+    for which, colour, where in (
+        (missing & in_contact, ACCENT, "in contact"),
+        (missing & ~in_contact, BASELINE, "outside contact"),
+    ):
+        if which.any():
+            label = f"{which.sum()} without a force {where}"
+            panel.plot(t[which], np.full(which.sum(), low), "|", color=colour, ms=8.0, label=label)

@@ -16,6 +16,8 @@ WINDOW = ((-3.0, 1.0), (-2.0, 2.0))
 """What a Nyquist chart shows: real and imaginary part."""
 NOTHING = 1e-9
 """|L| below which its phase means nothing [-]."""
+FRAME = 20.0
+"""Residual beyond which a force is not drawn [N]: it would leave the others a line."""
 SETTLED = 0.05
 """Share of a step within which it counts as settled."""
 
@@ -74,9 +76,13 @@ def loop_charts(title: str, loops: Sequence[LoopCurve], limit: float | None = No
 
 
 def _phase(loop: np.ndarray) -> np.ndarray:
-    """Unwrapped, beginning in (−360°, 0°]; none where L is but rounding, as at the Nyquist frequency."""
+    """Unwrapped, beginning in (−360°, 0°]; none where L is but rounding, and at its end, the Nyquist frequency.
+
+    There L is real by itself: where it vanishes its phase would jump to a whole turn.
+    """
     phase = np.rad2deg(np.unwrap(np.angle(loop)))
     phase[np.abs(loop) < NOTHING] = np.nan
+    phase[-1] = np.nan
     turned: np.ndarray = phase - 360.0 * np.ceil(phase[0] / 360.0)
     return turned
 
@@ -153,9 +159,16 @@ def force_charts(
             f"{K_s:g} N/m, {axis.upper()}",
             "time [s]",
             "residual force [mN]",
-            [Series(name, *thinned(time, 1e3 * (force[i, a] - wanted[:, a])), k) for k, (name, force) in named_at],
+            [_residual(name, time, force[i, a] - wanted[:, a], k) for k, (name, force) in named_at],
         )
         for named_at in [list(enumerate(named))]
         for i, K_s in enumerate(stiffness)
         for a, axis in enumerate(AXES)
     ]
+
+
+def _residual(name: str, time: np.ndarray, residual: np.ndarray, color: int) -> Series:
+    """A residual [N] over time in mN; of one that leaves the frame the name alone, which says so."""
+    if np.all(np.abs(residual) <= FRAME):
+        return Series(name, *thinned(time, 1e3 * residual), color)
+    return Series(f"{name} (beyond {FRAME:g} N, not drawn)", time[:1], np.full(1, np.nan), color)

@@ -73,7 +73,7 @@ def _rows(found: Comparison) -> Candidates:
         tissues=[f"{K_s:g} N/m" for K_s in found.experiment.stiffness],
         goals=("rms", "M_s", "chatter"),
         details={k: Detail(toml=text) for k, text in enumerate(texts)},
-        note="every controller's curves are drawn over each other below.",
+        note="every controller's curves are drawn over each other above.",
     )
 
 

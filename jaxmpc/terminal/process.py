@@ -8,6 +8,14 @@ from typing import Any, NamedTuple
 from jaxmpc.files.errors import InputError
 
 
+def silence_xla() -> None:
+    """Keep XLA's remarks, of a slow compilation too, from the middle of a progress bar; what fails is raised.
+
+    Read when JAX is first imported, as some verbs do while they are imported themselves: before any of them.
+    """
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+
 def use_all_cores(cores: int | None = None) -> None:
     """Switch 64-bit JAX on and give every CPU core a device of its own; call before JAX computes anything.
 
@@ -21,9 +29,6 @@ def use_all_cores(cores: int | None = None) -> None:
     Raises:
         InputError: The environment asks for a single device.
     """
-    # Read when XLA is loaded: its remarks, of a slow compilation too, would land in the middle of a progress bar;
-    # what fails is raised.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
     config: Any = jax.config
@@ -64,6 +69,7 @@ def remember_programs(folder: Path | None = None) -> None:
     import jax
 
     from jaxmpc.xla import store
+    from jaxmpc.xla.damaged import forget_damaged
 
     config: Any = jax.config
     if folder is not None:
@@ -75,4 +81,5 @@ def remember_programs(folder: Path | None = None) -> None:
             return
         config.update("jax_compilation_cache_dir", str(cache / "jaxmpc" / "programs"))
     config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
+    forget_damaged(Path(config.jax_compilation_cache_dir))
     store.keep_in(Path(config.jax_compilation_cache_dir) / "traced" if config.jax_enable_compilation_cache else None)

@@ -1,5 +1,6 @@
 """The command line: exit codes, one sentence for wrong input, nothing written then; freeze end to end."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -293,3 +294,17 @@ def test_film_shows_the_run_at_the_row_asked_for(tmp_path: Path) -> None:
     heart, arm = (red > 90) & (red > 1.8 * green) & (red > 1.8 * blue), np.minimum(np.minimum(red, green), blue) > 215
     assert (heart.sum(axis=(1, 2)) > 2000).all()
     assert (arm.sum(axis=(1, 2)) > 2000).all()
+
+
+def test_xla_is_silenced_before_a_verb_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`tune` and `trials` import JAX with their package, and it reads the level only then."""
+    levels = []
+
+    def look(name: str) -> Any:
+        levels.append(os.environ.get("TF_CPP_MIN_LOG_LEVEL"))
+        raise KeyboardInterrupt
+
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
+    monkeypatch.setattr("jaxmpc.cli.import_module", look)
+    assert main(["trials", "text"]) == 130
+    assert levels == ["3"]

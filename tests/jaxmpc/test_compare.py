@@ -15,6 +15,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import write_toml
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS, METRICS
+from jaxmpc.report.charts import force_charts
 from jaxmpc.report.comparison import Comparison, Contender
 from jaxmpc.report.side_by_side import PER_AXIS, difference, table
 from jaxmpc.report.thinning import thinned
@@ -86,6 +87,7 @@ def test_controllers_come_from_everywhere(tuned: Path) -> None:
         (["text", "--experiment", "table"], "table-1"),
         (["text", "--seeds", "-1"], "--seeds = -1"),
         (["text", "-o", "report.pdf"], "a file ending in .html"),
+        (["text", "-o", "/proc/deeper/report.html"], "a path that can be written"),
         (["text"] * 9, "at most 8"),
     ],
 )
@@ -132,6 +134,30 @@ def test_the_table_has_everything_and_the_differences() -> None:
     assert rms[2:] == ["100.0", "200.0", f"{middle:+.1f} ± {half:.1f} *"]
     M_s = next(row for row in found.rows if row[0] == "M_s")
     assert M_s[2:] == ["1.00", "2.00", "+1.00"]
+
+
+def test_a_folder_in_the_reports_place_is_seen_before_anything_is_computed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "compare.html").mkdir()
+    assert main(["compare", "text", "-o", str(tmp_path / "compare.html")]) == 2
+    said, told = capsys.readouterr()
+    assert said == ""
+    assert "A folder or a device is in its place" in told
+
+
+def test_a_force_that_leaves_the_frame_leaves_the_others_theirs() -> None:
+    time = np.arange(6) * 1e-3
+    calm, wild = np.full((1, 3, 6), 0.01), np.full((1, 3, 6), 0.01)
+    wild[0, 1, 3] = -21.0
+    charts = force_charts(time, [810.0], [("calm", calm), ("wild", wild)], np.zeros((6, 3)))
+    assert [[one.name for one in chart.series] for chart in charts] == [
+        ["calm", "wild"],
+        ["calm", "wild (beyond 20 N, not drawn)"],
+        ["calm", "wild"],
+    ]
+    np.testing.assert_allclose(charts[1].series[0].y, 10.0)
+    assert np.isnan(charts[1].series[1].y).all()
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from jaxmpc.files.errors import plain, plain_name
 from jaxmpc.files.foreign import DEEPEST, json_of, read_bytes
 from jaxmpc.files.outputs import check_file, check_folder
 from jaxmpc.files.samples import npz_vectors
+from jaxmpc.files.sealed import write_atomic
 from jaxmpc.files.toml import read_toml
 
 HOSTILE = {
@@ -112,3 +113,17 @@ def test_columns_of_two_dimensions_are_refused_by_name() -> None:
     with pytest.raises(InputError, match="at least one"):
         Params().with_columns({})
     assert Params().with_columns({"lam": np.ones((3, 16))}).lam.shape == (3, 16)
+
+
+def test_a_name_of_the_greatest_length_can_be_written(tmp_path: Path) -> None:
+    path = tmp_path / ("é" * 125 + ".toml")
+    assert len(os.fsencode(path.name)) == 255
+    check_file("-o", path)
+    write_atomic(path, b"a")
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [(path.name, b"a")]
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as failed:
+        write_atomic(tmp_path / "nowhere" / "a.toml", b"")
+    assert failed.value.filename == f"{tmp_path / 'nowhere' / 'a.toml'}"

@@ -1,22 +1,30 @@
 """Ctrl-C and a full disk at every verb that writes: what was there before is there after, and one line says so.
 
-Both strike in the middle of the first write; Ctrl-C also at random moments of processes of their own.
+Both strike in the middle of a write, the first or the second; Ctrl-C also at random moments of processes of their own,
+and a full disk, which is a limit of what a file may hold, at the real commands.
 """
 
 import errno
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from jaxmpc.cli import main
 from jaxmpc.files import sealed
 from tests.sources import ROOT
+from tests.twin.test_replay import flown
+from tuning import trials
+from tuning.trials import Job, Outcomes, drawn
 
 EXPERIMENT = """\
 name = "short"
@@ -33,6 +41,19 @@ kind = "grid"
 [sweep.axes]
 K2 = [10.0, 20.0, 30.0]
 """
+TUNE = """\
+[tune]
+starts = 2
+steps = 2
+train_seeds = [0]
+heldout_seeds = [1000]
+duration = 5.0
+settle = 1.2
+margin_points = 0
+[goals]
+ideal = true
+M_s = 9.0
+"""
 CASES = {
     "freeze": ["freeze", "text", "--experiment", "short.toml", "--max-ms", "9", "-o", "made.npz"],
     "identify": ["identify", "twin-motion", "-o", "made.toml", "--figure", "made.png"],
@@ -42,9 +63,26 @@ CASES = {
     "sweep report": ["sweep", "report", "done", "-o", "reported", "--csv", "made.csv"],
     "compare": ["compare", "text", "cautious", "--experiment", "short.toml", "--seeds", "0", "-o", "made.html"],
     "sign": ["sign", "controller.npz", "--key", "key"],
+    "limit": ["limit", "short.toml", "--params", "text", "-o", "made.json"],
+    "replay": [
+        "replay",
+        "flown/flight.npz",
+        "--artifact",
+        "flown/controller.npz",
+        "--report",
+        "made.html",
+        "--picture",
+        "made.png",
+    ],
+    "tune": ["tune", "tune.toml", "-o", "tuned", "--quiet"],
+    "trials": ["trials", "text", "--trials", "5", "-o", "tried", "--quiet"],
+    "demo": ["demo", "-o", "shown"],
 }
-"""A command of each verb that writes; those of `run` stand in tests/twin/test_recording_kept.py."""
-QUICK = ("identify", "sweep best", "sign")
+"""A command of each verb that writes; those of `run` stand in tests/twin/test_recording_kept.py. `twin`, `check`,
+`doctor`, `list` and `completion` write nothing."""
+QUICK = ("identify", "sweep best", "sign", "replay", "trials", "demo")
+SEVERAL = ("identify", "sweep best", "replay", "trials", "sweep report", "tune")
+"""Those of more than one file."""
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +91,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("desk")
     (folder / "short.toml").write_text(EXPERIMENT)
     (folder / "sweep.toml").write_text(SWEEP)
+    (folder / "tune.toml").write_text(TUNE)
     before = Path.cwd()
     os.chdir(folder)
     try:
@@ -61,6 +100,8 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     finally:
         os.chdir(before)
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", "key"], cwd=folder, check=True)
+    (folder / "flown").mkdir()
+    flown(folder / "flown")
     return folder
 
 
@@ -69,8 +110,12 @@ def there(folder: Path) -> dict[str, bytes]:
     return {f"{path.relative_to(folder)}": path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-SLOW = [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in CASES]
+def full() -> OSError:
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def marked(names: Iterable[str]) -> list[Any]:
+    return [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in names]
 
 
 @pytest.fixture(autouse=True)
@@ -79,8 +124,25 @@ def _cores(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
-@pytest.mark.parametrize("name", SLOW)
-@pytest.mark.parametrize(("strike", "code"), [(FULL, 1), (KeyboardInterrupt(), 130)], ids=["full disk", "Ctrl-C"])
+def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
+    for _ in firsts:
+        flat = np.zeros((drawn.BLOCK, len(job.controllers)))
+        small, when = np.full((*flat.shape, 3), 0.1), (flat + np.nan, flat + 0.9, flat + np.inf)
+        yield Outcomes(flat.astype(np.int8), *when, small, small, small, 0.1 * small, flat == 1.0)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is written is the matter here: trials that nobody flies, no arm in the demo, no law of JAX in a replay."""
+    monkeypatch.setattr(trials, "outcomes_of", outcomes_of)
+    monkeypatch.setattr("tuning.trials.cli._margins", lambda *_: [])
+    for name in ("_paper", "_on_arm", "_freeze"):
+        monkeypatch.setattr(f"jaxmpc.cli.demo.{name}", lambda *_: None)
+    monkeypatch.setattr("jaxmpc.export.replay.replay_law", lambda *_: {})
+
+
+@pytest.mark.parametrize("name", marked(CASES))
+@pytest.mark.parametrize(("strike", "code"), [(full(), 1), (KeyboardInterrupt(), 130)], ids=["full disk", "Ctrl-C"])
 def test_what_was_there_is_there(
     desk: Path,
     name: str,
@@ -100,10 +162,63 @@ def test_what_was_there_is_there(
     told = capsys.readouterr().err.strip().splitlines()[-1]
     assert told.startswith(f"jaxmpc {CASES[name][0]}: ")
     assert ("No space left" if code == 1 else "interrupted") in told
-    after = there(desk)
-    changed = {path for path in {*before, *after} if before.get(path) != after.get(path)}
+    if code == 1:
+        assert re.search(r"\w\.(npz|toml|png|html|csv|json|sig)\b", told), "the file that could not be written"
+    assert changed(before, there(desk)) == set()
+
+
+def changed(before: dict[str, bytes], after: dict[str, bytes]) -> set[str]:
+    found = {path for path in {*before, *after} if before.get(path) != after.get(path)}
     # A lease is no result: it says that nobody works there any more, once its process has gone.
-    assert not {path for path in changed if "/leases/" not in path}
+    return {path for path in found if "/leases/" not in path}
+
+
+@pytest.mark.parametrize("name", marked(SEVERAL))
+def test_what_a_disk_that_fills_leaves_is_what_a_whole_run_makes(
+    desk: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(desk)
+    before, fsync, calls = there(desk), os.fsync, iter(range(1000))
+
+    def second(descriptor: int) -> None:
+        # The first file and its folder, then no more.
+        if next(calls) >= 2:
+            raise full()
+        fsync(descriptor)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sealed.os, "fsync", second)
+        assert main(CASES[name]) == 1
+    left = there(desk)
+    assert main(CASES[name]) == 0
+    whole = there(desk)
+    assert len(changed(before, left)) == 1
+    assert changed(before, left) < changed(before, whole)
+    assert all(left[path] == whole[path] for path in changed(before, left) if path in left)
+    for path in changed(before, whole):
+        (desk / path).unlink()
+
+
+NO_ROOM = ("bash", "-c", 'ulimit -f 0; exec "$@"', "-")
+"""Files of nothing at most; Python then hears of EFBIG, as it is deaf to the signal."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name == "sign" else pytest.mark.slow) for name in CASES]
+)
+def test_the_real_command_on_a_full_disk(desk: Path, name: str, tmp_path: Path) -> None:
+    """The cache of programs is on that disk too, and nobody hears of it."""
+    before = there(desk)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("JAX_ENABLE_COMPILATION_CACHE", None)
+    command = [*NO_ROOM, sys.executable, "-m", "jaxmpc", *CASES[name]]
+    ran = subprocess.run(command, cwd=desk, env=environment, capture_output=True, text=True, check=False)
+    assert ran.returncode == 1, ran.stderr
+    assert "File too large" in ran.stderr.strip().splitlines()[-1]
+    assert "Traceback" not in ran.stderr
+    assert "Warning" not in ran.stderr
+    assert changed(before, there(desk)) == set()
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 @pytest.mark.slow

@@ -1,6 +1,8 @@
 """Axes of the world: every row meets the experiment that its entries describe, in whatever way it is run."""
 
 import dataclasses
+import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxmpc import evaluate
+from jaxmpc.files import sealed
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
@@ -144,6 +147,27 @@ def test_a_recording_travels_by_its_content(tmp_path: Path) -> None:
     plan = make_plan(spec)
     path.unlink()
     assert np.isfinite(compute(plan, 0, 2)["rms"]).any()
+
+
+def test_a_recording_that_a_full_disk_cuts_short_is_not_taken_for_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "own.csv"
+    path.write_text("t,x,y,z\n" + "".join(f"{0.01 * k:.2f},0,0,0\n" for k in range(200)))
+    plan = make_plan(made({"lam": [0.1]}, experiment={"motion": {"kind": "recording", "file": str(path)}}))
+    folder = tmp_path / "there"
+    folder.mkdir()
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sealed.os, "fsync", full)
+        with pytest.raises(OSError, match="No space left"):
+            plan.experiment(folder)
+    assert list(folder.iterdir()) == []
+    file = plan.experiment(folder).motion.file
+    assert Path(file).read_bytes() == path.read_bytes()
 
 
 def test_every_key_of_controller_and_experiment_has_a_place() -> None:

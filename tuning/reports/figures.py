@@ -88,11 +88,11 @@ def before_after_figure(result: TuneResult, path: Path) -> None:
                     )
                 panel.set_xticks(places, [f"{K:g}" for K in stiffness])
             axes[row, 0].set_ylabel(f"residual {title} [mN]")
-            axes[row, 0].set_ylim(top=1.35 * axes[row, 0].get_ylim()[1])
         for a in range(3):
             axes[0, a].set_title(f"{AXES[a]} axis")
             axes[1, a].set_xlabel("stiffness [N/m]")
-        axes[0, 0].legend(loc="upper right", ncols=2)
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        axes[0, 0].figure.legend(handles, labels, loc="outside upper right", ncols=3)
 
 
 def best_of_each_iteration(state: SearchState) -> np.ndarray:

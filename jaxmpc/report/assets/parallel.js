@@ -4,7 +4,7 @@
 const LEVELS = 256, NOWHERE = 250, HIGHEST = 239; // heights of a picture; where ∞ and – lie; the last of the values
 const FAR = 3; // times the worst of the rows that keep the limits, where an axis ends
 const FEW = 1500; // rows that are drawn one by one
-const TOP = 46, HEIGHT = 300, BOTTOM = 24, SIDE = 56, NARROW = 84; // [px]
+const TOP = 52, HEIGHT = 300, BOTTOM = 24, SIDE = 56, NARROW = 96; // [px]
 
 function parallelView(state, box) {
   const initial = [...state.measures.values()];
@@ -381,7 +381,10 @@ function parallelView(state, box) {
 
   function ticks(one) {
     if (!(one.high > one.low)) return [one.low];
-    if (!one.log) return Array.from({ length: 5 }, (_, i) => one.low + (i / 4) * (one.high - one.low));
+    if (!one.log) {
+      const even = Array.from({ length: 5 }, (_, i) => one.low + (i / 4) * (one.high - one.low));
+      return one.each.whole ? [...new Set(even.map(Math.round))] : even;
+    }
     const decades = Math.log10(one.high / one.low), found = [one.low];
     const every = Math.max(1, Math.ceil(decades / 6));
     for (let d = Math.ceil(Math.log10(one.low) + 0.15); d <= Math.log10(one.high) - 0.15; d += every) found.push(Math.pow(10, d));

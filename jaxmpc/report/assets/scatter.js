@@ -85,7 +85,7 @@ function scatterView(state, box) {
       yAxis: axis(colors, heading(up), logs[1] && frame[1][1] / frame[1][0], { nameGap: 48 }),
       dataZoom: [{ type: "inside", zoomOnMouseWheel: "ctrl", moveOnMouseWheel: false, filterMode: "none" }],
       series: [
-        cloud("breaks a limit", broken, colors.dead, many ? "circle" : "path://M0,0L8,8M8,0L0,8", many ? {} : { itemStyle: { color: "none", borderColor: colors.dead, borderWidth: 1 } }),
+        cloud("breaks a limit", broken, colors.dead, many ? "circle" : "path://M0,0L8,8M8,0L0,8", many ? {} : { itemStyle: { color: "none", borderColor: colors.dead, borderWidth: 1.5 } }),
         ...shades.map((data, k) => cloud(`shade ${k}`, data, z ? rgb(RAMP[Math.round((255 * (k + 0.5)) / SHADES)]) : colors.series[0], "circle")),
         // Rings of a crowded front lie below its points, whose colour they would hide.
         { type: two ? "line" : "scatter", step: "end", symbol: "circle", symbolSize: 8, silent: true, z: ends.length > CROWD ? 1 : 4, data: ends.map(([a, b]) => [a, b]),
