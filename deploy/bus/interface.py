@@ -15,6 +15,10 @@ from deploy.errors import BusError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags that say which bus: python-can's own, as --interface and --channel."""
     add_bus_arguments(parser)
+    (interface,) = (each for each in parser._actions if each.dest == "interface")
+    # Two dozen names in a row, which no line holds.
+    interface.metavar = "NAME"
+    interface.help = f"{interface.help} One of: {', '.join(interface.choices or ())}."
 
 
 def open_bus(arguments: argparse.Namespace, now: Callable[[], int] = time.monotonic_ns) -> Bus:
@@ -45,5 +49,10 @@ def open_interface(arguments: argparse.Namespace) -> can.BusABC:
     except argparse.ArgumentError as error:
         why = error.__cause__ or error
         name = " ".join(f"{getattr(arguments, key, '')}" for key in ("interface", "channel")).strip()
+        if not name.replace("None", "").strip():
+            raise BusError(
+                f"no bus is named ({why}): name one, as --interface socketcan --channel can0, or fly against the twin, "
+                "--lockstep"
+            ) from None
         remedy = "check --interface and --channel, that its driver is loaded and that nobody else has it"
-        raise BusError(f"the bus {name or '(none named)'} cannot be opened ({why}): {remedy}") from None
+        raise BusError(f"the bus {name} cannot be opened ({why}): {remedy}") from None

@@ -12,7 +12,7 @@ from jaxmpc.files.errors import InputError, nearest, plain
 from jaxmpc.terminal.folding import folded_output
 from jaxmpc.terminal.interruption import always_heard
 from jaxmpc.terminal.parser import CommandParser
-from jaxmpc.terminal.process import silence_xla
+from jaxmpc.terminal.process import silence_libraries
 
 
 class Verb(NamedTuple):
@@ -69,11 +69,14 @@ _WRONG_INPUT = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; exit code 0: done, 1: the job failed, 2: wrong input, 130: interrupted, 141: nobody reads."""
+    # Of a process that was started without them, as by some schedulers.
+    sys.stdout = sys.stdout or open(os.devnull, "w")
+    sys.stderr = sys.stderr or open(os.devnull, "w")
     for stream in (sys.stdout, sys.stderr):
         # A terminal that cannot show ≤ shows ?; it is no reason to stop.
         if reconfigure := getattr(stream, "reconfigure", None):
             reconfigure(errors="replace")
-    silence_xla()
+    silence_libraries()
     with folded_output(), always_heard():
         return _main(argv)
 

@@ -1,6 +1,7 @@
 """Pictures and films of the arm on the beating heart, without a display."""
 
 import contextlib
+import errno
 import importlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -186,21 +187,37 @@ def _encoder(path: Path, size: tuple[int, int], fps: int) -> Iterator[Any]:
         imageio_ffmpeg = importlib.import_module("imageio_ffmpeg")
     part = path.with_name(f".{path.stem}.part.mp4")
     options = ["-crf", "20", "-movflags", "+faststart"]
+    # Blocks of 2 pixels are all that the colour format asks for; the default, 16, would scale the picture.
+    writer = imageio_ffmpeg.write_frames(
+        str(part), size, fps=fps, quality=None, macro_block_size=2, output_params=options, ffmpeg_log_level="fatal"
+    )
     try:
-        # Blocks of 2 pixels are all that the colour format asks for; the default, 16, would scale the picture.
-        writer = imageio_ffmpeg.write_frames(
-            str(part), size, fps=fps, quality=None, macro_block_size=2, output_params=options, ffmpeg_log_level="error"
-        )
         with contextlib.closing(writer):
-            writer.send(None)
+            _start(writer)
             yield writer
+        # What ffmpeg thinks of its end is not to be had; a film that a full disk cut short has no index.
+        _check(imageio_ffmpeg, part)
         part.replace(path)
+    except OSError:
+        raise OSError(errno.EIO, "ffmpeg could not write the whole film; is the disk full?", f"{path}") from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _start(writer: Any) -> None:
+    try:
+        writer.send(None)
     except RuntimeError as error:
         if "No ffmpeg exe" not in str(error):
             raise
         raise InputError("ffmpeg", "not found", "installed", PACKAGES_REMEDY) from None
-    finally:
-        part.unlink(missing_ok=True)
+
+
+def _check(imageio_ffmpeg: Any, path: Path) -> None:
+    try:
+        imageio_ffmpeg.count_frames_and_secs(str(path))
+    except RuntimeError as error:
+        raise OSError(f"{error}") from None
 
 
 def _target(path: str | Path, suffix: str) -> Path:

@@ -1,5 +1,6 @@
 """What an entry point may do to the process, and a library may not: 64-bit JAX, a device per core, a compile cache."""
 
+import logging
 import os
 import re
 from pathlib import Path
@@ -8,12 +9,14 @@ from typing import Any, NamedTuple
 from jaxmpc.files.errors import InputError
 
 
-def silence_xla() -> None:
-    """Keep XLA's remarks, of a slow compilation too, from the middle of a progress bar; what fails is raised.
+def silence_libraries() -> None:
+    """Keep remarks from the middle of a progress bar: XLA's of slow compiling, matplotlib's of a home without a cache.
 
-    Read when JAX is first imported, as some verbs do while they are imported themselves: before any of them.
+    XLA's level is read when JAX is first imported, as some verbs do while they are imported themselves: call it before
+    any of them. What fails is raised.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
 def use_all_cores(cores: int | None = None) -> None:

@@ -281,6 +281,7 @@ def test_the_flags_are_python_cans():
     ("flags", "says"),
     [
         (("--interface", "virtual", "--channel", "can0; rm"), "no name of a CAN channel"),
+        ((), "or fly against the twin, --lockstep"),
         (("--interface", "virtual", "--channel", "a", "--fd"), "leave --fd out"),
         (("--interface", "virtual", "--channel", "a", "--bitrate", "500000"), "1 Mbit/s"),
         (("--interface", "socketcan", "--channel", "nosuchcan"), "check --interface and --channel"),

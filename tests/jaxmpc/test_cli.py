@@ -23,6 +23,7 @@ from jaxmpc.pictures.film import SIZE, film
 from jaxmpc.terminal.process import use_all_cores
 from jaxmpc.xla import store
 from jaxmpc.xla.once import JitOnce
+from tests.sources import ROOT
 
 TUNED = {"K2": 100.0, "Khat_s": 970.0, "Q_p": 9.0, "T_cl": 2e-4}
 
@@ -308,3 +309,12 @@ def test_xla_is_silenced_before_a_verb_is_imported(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("jaxmpc.cli.import_module", look)
     assert main(["trials", "text"]) == 130
     assert levels == ["3"]
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_who_closes_the_outputs_loses_words_alone(closed: str) -> None:
+    command = ["bash", "-c", f'"$@" {closed}', "-", sys.executable, "-m", "jaxmpc"]
+    for words, code in (["list"], 0), (["lst"], 2):
+        ran = subprocess.run([*command, *words], cwd=ROOT, capture_output=True, text=True, check=False)
+        assert ran.returncode == code
+        assert "Traceback" not in ran.stdout + ran.stderr

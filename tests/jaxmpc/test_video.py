@@ -12,6 +12,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.pictures import render, video
 from jaxmpc.pictures.video import still, write_video
 from jaxmpc.world.arm import mjcf, model
+from tests.sources import ROOT
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -234,6 +235,31 @@ def test_film_has_its_frames_and_size(tmp_path):
     columns = [int(np.argmax(frame)) for frame in cursor]
     assert columns == sorted(columns)
     assert columns[-1] > columns[0] + 40
+
+
+ENCODE = """
+import sys
+from pathlib import Path
+import numpy as np
+from jaxmpc.pictures.video import _encoder
+
+frame = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+with _encoder(Path(sys.argv[1]), (64, 64), 25) as encoder:
+    for _ in range(int(sys.argv[2])):
+        encoder.send(frame)
+"""
+
+
+@pytest.mark.parametrize("frames", [3, 3000])
+def test_a_film_that_a_full_disk_cuts_short_takes_no_whole_ones_place(tmp_path, frames):
+    """ffmpeg then ends as if all were well, or goes before the last frame."""
+    pytest.importorskip("imageio_ffmpeg")
+    (tmp_path / "film.mp4").write_bytes(b"of before")
+    command = ["bash", "-c", 'ulimit -f 4; exec "$@"', "-", sys.executable, "-c", ENCODE]
+    command += [str(tmp_path / "film.mp4"), str(frames)]
+    ran = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+    assert "could not write the whole film; is the disk full?" in ran.stderr.splitlines()[-1]
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("film.mp4", b"of before")]
 
 
 def test_panel_draws_up_to_the_cursor():
