@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 from typing import NoReturn
 
 from jaxmpc.cli import main
@@ -10,11 +11,12 @@ from jaxmpc.cli import main
 def program() -> NoReturn:
     """Run a verb and end with its exit code.
 
-    An interrupted one ends at once: threads that still compile would be waited for, or would meet an interpreter that
-    is being taken down, and crash. Files are written whole or not at all, so that nothing is left to be done.
+    One that is interrupted, or fails, ends at once: threads that still compile would be waited for, or would meet an
+    interpreter that is being taken down, and crash. Files are written whole or not at all, so that nothing is left to
+    be done.
     """
     code = main()
-    if code == 130:
+    if code == 130 or (code and threading.active_count() > 1):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
