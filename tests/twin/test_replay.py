@@ -12,6 +12,7 @@ from deploy.controller.runtimes import arm_runtime
 from deploy.flight.recorder import COLUMNS, FlightRecorder, read
 from deploy.flight.replay import KNOWN, SETTLING, compare, inputs_of, through_runtime
 from jaxmpc.cli import replay as verb
+from jaxmpc.cli.flight_report import _states
 from jaxmpc.files.errors import InputError
 from tests.deploy import made
 
@@ -186,6 +187,17 @@ def test_it_shows_where_a_flight_parts(tmp_path, capsys):
     assert "0.800" in page
     assert page.count('class="chart"') > 30
     assert replay(*words, "--tolerance", "0.5") == 0
+
+
+def test_the_report_begins_with_the_verdict_and_leaves_out_what_rests(flight, tmp_path, monkeypatch):
+    monkeypatch.setattr(verb, "find_spec", lambda name: None)
+    report = tmp_path / "a.html"
+    assert replay(flight / "flight.npz", "--artifact", flight / "controller.npz", "--report", report) == 0
+    page = report.read_text(encoding="utf-8")
+    assert "<h1>Flight flight</h1>" in page
+    assert "Computed anew by runtime: the same, within the tolerance." in page
+    assert "The same throughout: gain 1, stiffness 0 N/m, authority 0, dither 0 N." in page
+    assert _states(read(flight / "flight.npz")) == "2 approach, 3 contact, 4 retract"
 
 
 def test_a_missing_simulator_is_said(flight, capsys, monkeypatch):
