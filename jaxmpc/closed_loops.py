@@ -17,13 +17,13 @@ from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import ArmSample
 from jaxmpc.loop.linear import HIGHEST_FORCE, Sample
 from jaxmpc.metrics import Metrics
-from jaxmpc.stability import Margins, margins_one
-from jaxmpc.stability.loop import contact_of
+from jaxmpc.stability import Margins, cells_of, margins_of_cells
+from jaxmpc.stability.loop import contacts_of
 from jaxmpc.status import Status
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
-from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath
+from jaxmpc.xla.rows import reshaped
 
 
 class ClosedLoops(NamedTuple):
@@ -76,22 +76,10 @@ def close_loops(params: Params, stiffness: Any, path: LoopPath, width: Any = 1.0
     return ClosedLoops(gains, params.K2, contacts_of(params.K2, stiffness, path), residual)
 
 
-def contacts_of(K2: Any, stiffness: Any, path: LoopPath) -> Contact:
-    """Contacts of controllers with tissues, (controllers, stiffness)."""
-    over_tissues = jax.vmap(contact_of, in_axes=(0, None, None))
-    found: Contact = jax.vmap(over_tissues, in_axes=(None, 0, None))(stiffness, K2, path)
-    return found
-
-
 def margins_of(loops: ClosedLoops, *, ideal: bool) -> Margins:
     """Margins of every controller on every tissue, (controllers, stiffness); float64, traceable."""
-    rows, tissues = loops.contacts.stiffness.shape
-    # One dimension of cells is traced twice as fast as two nested ones.
-    cells = jax.tree.map(lambda leaf: leaf.reshape(rows * tissues), loops.contacts)
-    gains, residual = jax.tree.map(lambda leaf: jnp.repeat(leaf, tissues, axis=0), (loops.gains, loops.residual))
-    found = jax.vmap(lambda g, contact, r: margins_one(g, contact, ideal, r))(gains, cells, residual)
-    margins: Margins = jax.tree.map(lambda leaf: leaf.reshape(rows, tissues), found)
-    return margins
+    found = margins_of_cells(cells_of(loops.gains, loops.contacts, loops.residual), ideal=ideal)
+    return reshaped(found, 1, *loops.contacts.stiffness.shape)
 
 
 def run_loops(

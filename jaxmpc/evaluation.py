@@ -9,15 +9,18 @@ import jax
 import jax.numpy as jnp
 
 from jaxmpc.beside import Beside
-from jaxmpc.closed_loops import Outcome, close_loops, margins_of, outcome_of, run_loops
+from jaxmpc.closed_loops import ClosedLoops, Outcome, margins_of, outcome_of, run_loops
 from jaxmpc.engine.base import CellResults
 from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
 from jaxmpc.experiment import Experiment, Physics
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.stability import Margins
+from jaxmpc.stability.loop import contacts_between
+from jaxmpc.synthesis import designed
 from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
+from jaxmpc.xla.rows import reshaped, traced
 
 Precision = Literal["float64", "float32"]
 
@@ -29,8 +32,6 @@ def shaped_outcome(margins: Margins, run: CellResults, batch: tuple[int, ...]) -
     return outcome
 
 
-_close = JitOnce(close_loops)
-_judge = JitOnce(margins_of, static_argnames=("ideal",))
 _outcome = JitOnce(shaped_outcome, static_argnames=("batch",))
 _run = JitOnce(run_loops, static_argnames=("world", "dtype", "traced"))
 
@@ -67,21 +68,20 @@ def evaluate(
         if value not in get_args(kind):
             raise InputError(key, value, "a known one", nearest(str(value), list(get_args(kind))))
     batch = params.batch_shape
-    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), params)
+    flat = reshaped(params, len(batch), -1)
     scene, world = scenario_data(experiment, swinging=True), program_spec(experiment)
-    loops = _close(flat, scene.stiffness, scene.path)
+    gains, residual = designed(flat, scene.path.T_s, scene.path.force_filter)
+    loops = ClosedLoops(gains, flat.K2, contacts_between(flat.K2, scene.stiffness, scene.path), residual)
 
     def judge() -> Margins:
         # A thread has a precision of its own.
         with jax.enable_x64(True):
-            margins: Margins = _judge(loops, ideal=scene.path.ideal)
-        return margins
+            return margins_of(loops, ideal=scene.path.ideal)
 
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(loops)):
+    if traced(loops):
         margins, run = judge(), _run(loops, scene, world=world, dtype=precision, traced=trace)
     else:
-        # Compiling is most of a first call, and the two programs compile side by side; the longer one begins.
-        _judge.trace(loops, ideal=scene.path.ideal)
+        # Compiling is most of a first call, and the two programs compile side by side.
         with Beside(1) as beside:
             pending = beside.submit(judge)
             run = _run(loops, scene, world=world, dtype=precision, traced=trace)

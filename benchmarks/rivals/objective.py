@@ -14,7 +14,8 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array
 
 from benchmarks.rivals import pi
-from jaxmpc.closed_loops import ClosedLoops, close_loops, contacts_of
+from jaxmpc.closed_loops import ClosedLoops, close_loops
+from jaxmpc.stability.loop import contacts_of
 from tuning.job.space import SearchSpace
 from tuning.objective.loss import evaluate_goals
 from tuning.objective.measures import Data, ProblemStructure

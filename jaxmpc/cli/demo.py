@@ -48,9 +48,11 @@ def run(args: argparse.Namespace) -> int:
     check_folder("-o", folder)
     folder.mkdir(parents=True, exist_ok=True)
     with Beside(1) as beside:
-        # What takes longest is compiling, which goes on beside the rest.
+        # What takes longest, compiling and then the flight, goes on beside the rest: one thing after another, each of
+        # what the one before it has made.
         simulated = beside.submit(_on_arm)
         frozen = beside.submit(lambda: _freeze(folder, simulated.result()))
+        flown = beside.submit(lambda: _fly(folder, simulated.result()))
         with _step("1/6 the paper's design, both parameter sets, on Table I of the linear loop"):
             _paper(Params.published("text"), Params.published("printed"))
         with _step("2/6 linear loop, without the robot's limits: a sweep of 5120 controllers × 3 tissues"):
@@ -66,9 +68,10 @@ def run(args: argparse.Namespace) -> int:
         with _step("5/6 freeze that family for the robot"):
             artifact = frozen.result()
             _tell_frozen(folder, artifact)
-    with _step("6/6 fly it in lock-step over the twin's beating heart, and replay the flight"):
-        flight = _fly(folder, arm)
-        same = _replay(folder, artifact)
+        with _step("6/6 fly it in lock-step over the twin's beating heart, and replay the flight"):
+            flight = flown.result()
+            _tell_flight(folder, arm, flight)
+            same = _replay(folder, artifact)
     summary(folder, swept, tuned, arm, artifact, flight, time.monotonic() - began)
     return 0 if same and flight.ended.well else 1
 
@@ -180,17 +183,20 @@ def _fly(folder: Path, arm: Arm) -> "TwinFlight":
 
     from deploy.twin.flight import fly
     from deploy.twin.scenario import twin_settings
-    from jaxmpc.pictures.flight_figure import flight_figure
 
     settings = twin_settings("family-wam", stiffness=STIFFNESS, gap=0.005, seed=UNSEEN_SEED)
     settings = replace(settings, motion=arm.experiment.motion)
-    flight = fly(folder / "controller.npz", settings, "0,0,-5@2", SECONDS, folder / "flight.npz")
+    return fly(folder / "controller.npz", settings, "0,0,-5@2", SECONDS, folder / "flight.npz")
+
+
+def _tell_flight(folder: Path, arm: Arm, flight: "TwinFlight") -> None:
+    from jaxmpc.pictures.flight_figure import flight_figure
+
     state = flight.ended.safety_state
     print(f"{SECONDS:g} s in contact; ended: {state.state}, {state.reason}\n{flight.said}")
     measured, _, _ = errors(arm, arm.text, flight)
     before = flight.time[: len(measured)], measured[:, 2]
     flight_figure(folder / "flight.png", flight.time, flight.signals, STIFFNESS, before, SETTLE)
-    return flight
 
 
 def _replay(folder: Path, artifact: "Artifact") -> bool:

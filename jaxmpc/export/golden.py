@@ -1,6 +1,7 @@
 """The golden trace: forces (and angles) of a simulated run, and what the JAX-traced law answered to them."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -21,6 +22,7 @@ from jaxmpc.world.arm import chain
 from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.drive import read as drive_read
 from jaxmpc.xla import ops
+from jaxmpc.xla.cse import sharing
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 
@@ -146,23 +148,33 @@ def arm_law_trace(gains: Gains, K2: float, experiment: Experiment, run: ArmRun) 
 
 
 def _arm_law_trace(controller: Controller, limits: TorqueLimits, inputs: Any, compensated: bool) -> ArmAnswer:
-    def one(carry: Any, now: Any) -> tuple[Any, ArmAnswer]:
-        state, last = carry
-        q, force, wanted = now
-        state, command = force_control.step(controller, state, tuple(q), tuple(force), tuple(map(tuple, wanted)), ops)
-        passed, _ = torque_limits.limit(limits, command.torque.torque, last, ops)
-        state = force_control.applied(state, command, passed)
-        stacked: Any = map(jnp.stack, (command.v, command.torque.torque, passed))
-        return (state, passed), ArmAnswer(*stacked)
+    def sample(carry: Any, now: Any) -> tuple[Any, Any]:
+        (state, last, begun), (q, force, wanted) = carry, now
+        met, command = force_control.step(controller, state, tuple(q), tuple(force), tuple(map(tuple, wanted)), ops)
+        torque = command.torque.torque
+        # The first sample is met twice: before it the arm got what it wants there.
+        before = _where(begun, last, torque)
+        passed, _ = torque_limits.limit(limits, torque, before, ops)
+        following = force_control.applied(met, command, passed), passed
+        return (*_where(begun, following, (state, torque)), jnp.ones_like(begun)), (command.v, torque, passed)
 
-    q, force, wanted = (tuple(signal[0]) for signal in inputs)
+    def one(carry: Any, now: Any) -> tuple[Any, ArmAnswer]:
+        # XLA takes long for what it copies.
+        carry, answer = sharing(sample, 1.0 + 0.0 * now[0][0])(carry, now)
+        stacked: Any = map(jnp.stack, answer)
+        return carry, ArmAnswer(*stacked)
+
+    met = jax.tree.map(lambda signal: jnp.concatenate([signal[:1], signal]), inputs)
+    q, force, _ = (tuple(signal[0]) for signal in inputs)
     at_rest = force_control.init(controller, q, force, compensated)
     start = entry.enter(controller, at_rest, force, (0.0, 0.0, 0.0), ops)
-    # Before the first sample the arm got what it wants there.
-    _, first = force_control.step(controller, start, q, force, tuple(map(tuple, wanted)), ops)
-    carry = jax.tree.map(jnp.asarray, (start, first.torque.torque))
-    answer: ArmAnswer = jax.lax.scan(one, carry, inputs)[1]
-    return answer
+    carry = jax.tree.map(jnp.asarray, (start, (0.0,) * len(q), False))
+    answer: ArmAnswer = jax.lax.scan(one, carry, met)[1]
+    return ArmAnswer(*(signal[1:] for signal in answer))
+
+
+def _where(chosen: Any, there: Any, otherwise: Any) -> Any:
+    return jax.tree.map(partial(jnp.where, chosen), there, otherwise)
 
 
 _arm_law = JitOnce(_arm_law_trace, static_argnames=("compensated",))

@@ -4,26 +4,32 @@ The public function is `jaxmpc.margins`; stability comes first in it: an unstabl
 margins and the status UNSTABLE, since its peak over frequency can look fine.
 """
 
+from threading import Lock
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxmpc import described
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.gains import Gains
 from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
-from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
+from jaxmpc.stability.loop import closed_loop_matrix, contacts_between, spectral_radius
 from jaxmpc.stability.response import loop_response
 from jaxmpc.status import Status
-from jaxmpc.synthesis import design_one, over_batch
+from jaxmpc.synthesis import designed
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath, loop_path
+from jaxmpc.xla.blocks import padded
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
+from jaxmpc.xla.rows import repeated, reshaped, traced
 
+CELLS = 64
+"""Loops that are judged at a time; the last of them are filled up."""
 ILL_POSED_ABOVE = 1e-6
 """Relative Riccati residual beyond which a design does not count; a good one has 1e-15."""
 
@@ -64,6 +70,29 @@ def stability_status(radius: Any, residual: Any) -> Any:
     return jnp.where((residual < ILL_POSED_ABOVE) & jnp.isfinite(radius), stable, Status.ILL_POSED)
 
 
+class Cells(NamedTuple):
+    """Controllers, each on one tissue; every leaf has the cells as leading dimension."""
+
+    gains: Gains
+    contacts: Contact
+    residual: Any
+    """Riccati residual of the design [-]."""
+
+
+def cells_of(gains: Gains, contacts: Contact, residual: Any) -> Cells:
+    """Every controller (controllers,) on every tissue, the tissues of one after another.
+
+    Args:
+        gains: The controllers; what margins do not ask for is left out.
+        contacts: Each (controllers, tissues).
+        residual: Riccati residuals of the designs, (controllers,) [-].
+    """
+    plain = gains._replace(mpc_ref=gains.mpc_ref[:, :1], guard=None, schedule=None)
+    tissues = contacts.stiffness.shape[1]
+    # One dimension of cells is traced twice as fast as two nested ones.
+    return Cells(repeated(plain, tissues), reshaped(contacts, 2, -1), repeated(residual, tissues))
+
+
 def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0) -> Margins:
     """Margins of one controller on one tissue; float64, traceable, differentiable.
 
@@ -73,9 +102,13 @@ def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0
         ideal: Whether the damping is ideal: then both cuts are the same one.
         residual: Riccati residual of the design [-].
     """
-    radius = spectral_radius(closed_loop_matrix(gains, contact))
     # With ideal damping both cuts are the same one.
-    cut_at_a = jnp.zeros(1) if ideal else jnp.array([0.0, 1.0])
+    return _margins_cut(gains, contact, residual, jnp.zeros(1) if ideal else jnp.array([0.0, 1.0]))
+
+
+def _margins_cut(gains: Gains, contact: Contact, residual: Any, cuts_at_a: Any) -> Margins:
+    """Margins at the worst of the cuts, (cuts,): 1 at a, 0 at v."""
+    radius = spectral_radius(closed_loop_matrix(gains, contact))
 
     def margins_at(cut: Any) -> LoopMargins:
         def loop(g: Gains, c: Contact) -> Loop:
@@ -83,7 +116,7 @@ def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0
 
         return loop_margins(loop(gains, contact), loop(*jax.lax.stop_gradient((gains, contact))), contact.T_s)
 
-    cuts = jax.vmap(margins_at)(cut_at_a)
+    cuts = jax.vmap(margins_at)(cuts_at_a)
     worst = LoopMargins(jnp.max(cuts.M_s), *(jnp.min(cut) for cut in cuts[1:]))
     stable = radius < 1.0
     up, down, phase, delay = (jnp.where(stable, value, jnp.nan) for value in worst[1:])
@@ -92,17 +125,31 @@ def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0
     )
 
 
-@JitOnce
-def _margins(params: Params, stiffness: Any, path: LoopPath) -> Margins:
-    def one(p: Params, K_s: Any) -> Margins:
-        gains, residual = design_one(p, path.T_s, 1.0, path.force_filter)
-        return margins_one(gains, contact_of(K_s, p.K2, path), path.ideal, residual)
+def _margins_of_block(cells: Cells, cuts_at_a: Any) -> Margins:
+    found: Margins = jax.vmap(_margins_cut, in_axes=(0, 0, 0, None))(*cells, cuts_at_a)
+    return found
 
-    over_stiffness = one
-    for _ in range(jnp.ndim(stiffness)):
-        over_stiffness = jax.vmap(over_stiffness, in_axes=(None, 0))
-    result: Margins = over_batch(lambda p: over_stiffness(p, stiffness), params.batch_shape)(params)
-    return result
+
+_block = JitOnce(_margins_of_block)
+_compiling = Lock()
+
+
+def margins_of_cells(cells: Cells, *, ideal: bool) -> Margins:
+    """Margins of every cell, (cells,); float64, traceable, differentiable.
+
+    Unless traced, all loops of controllers of one disturbance order, as they run and ideal, are judged by one program.
+    """
+    if traced(cells):
+        found: Margins = jax.vmap(lambda gains, contact, r: margins_one(gains, contact, ideal, r))(*cells)
+        return found
+    count, whole = len(cells.residual), padded(cells, CELLS)
+    cuts = jnp.array([0.0, 0.0 if ideal else 1.0])
+    blocks = reshaped(whole, 1, -1, CELLS)
+    # Who comes while it is being compiled waits for it rather than compile it too.
+    with _compiling:
+        parts = [_block(jax.tree.map(lambda leaf, i=i: leaf[i], blocks), cuts) for i in range(-(-count // CELLS))]
+    joined: Margins = jax.tree.map(lambda *rows: jnp.asarray(np.concatenate(rows)[:count]), *parts)
+    return joined
 
 
 @in_float64
@@ -132,5 +179,9 @@ def margins(
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
     if path is None:
         path = loop_path(delay=delay, ideal=ideal)
-    result: Margins = _margins(params, values, path)
-    return result
+    gains, residual = designed(reshaped(params, len(params.batch_shape), -1), path.T_s, path.force_filter)
+    contacts = contacts_between(
+        reshaped(params.K2, len(params.batch_shape), -1), reshaped(values, values.ndim, -1), path
+    )
+    found = margins_of_cells(cells_of(gains, contacts, residual), ideal=path.ideal)
+    return reshaped(found, 1, *params.batch_shape, *values.shape)

@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import schedule
 from jaxmpc.law.gains import Gains
-from jaxmpc.stability import Margins, margins_one
+from jaxmpc.stability import Cells, Margins, cells_of, margins_of_cells
 from jaxmpc.stability.loop import contact_of
-from jaxmpc.synthesis import design, design_one
+from jaxmpc.synthesis import design, design_one, designed
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.timing import Timing
@@ -25,6 +25,7 @@ from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
+from jaxmpc.xla.rows import reshaped
 
 KNOWN, RATIOS = 25, 5
 """Known stiffnesses, log-spaced between the outer knots, and K_s/K̂ over the band, at which a schedule is judged."""
@@ -95,19 +96,16 @@ def gains_on(params: Params, stiffness: Any, path: LoopPath) -> tuple[Gains, Flo
     return found
 
 
-def margins_over(params: Params, stiffness: Any, ratios: Any, path: LoopPath) -> Margins:
-    """As `family_margins`; float64, traceable, differentiable."""
-    gains, K2, residual = frozen(params, stiffness, path)
-
-    def one(g: Gains, damping: Any, K_hat: Any, ratio: Any) -> Margins:
-        return margins_one(g, contact_of(ratio * K_hat, damping, path), path.ideal, residual)
-
-    over_ratios = jax.vmap(one, in_axes=(None, None, None, 0))
-    found: Margins = jax.vmap(over_ratios, in_axes=(0, 0, 0, None))(gains, K2, jnp.asarray(stiffness), ratios)
-    return found
+def _held_cells(gains: Gains, K2: Any, residual: Any, stiffness: Any, ratios: Any, path: LoopPath) -> Cells:
+    """One designed family with K̂ held at known stiffnesses, each on tissues K_s = K̂ · ratio."""
+    one: Gains = jax.tree.map(lambda leaf: leaf[0], gains)
+    each, damping = held(one, K2, stiffness)
+    over_ratios = jax.vmap(contact_of, in_axes=(0, None, None))
+    contacts = jax.vmap(over_ratios, in_axes=(0, 0, None))(stiffness[:, None] * ratios, damping, path)
+    return cells_of(each, contacts, jnp.broadcast_to(residual, stiffness.shape))
 
 
-_margins_over = JitOnce(margins_over)
+_cells = JitOnce(_held_cells)
 
 
 @in_float64
@@ -130,5 +128,7 @@ def family_margins(
     """
     if params.batch_shape or params.listening is None:
         raise InputError("params", "a batch, or without knots", "one controller with knots", "Take one with knots.")
-    found: Margins = _margins_over(params, jnp.asarray(stiffness, float), jnp.asarray(ratios, float), path)
-    return found
+    known, band = jnp.asarray(stiffness, float), jnp.asarray(ratios, float)
+    gains, residual = designed(reshaped(params, 0, 1), path.T_s, path.force_filter)
+    cells = _cells(gains, params.K2, residual, known, band, path)
+    return reshaped(margins_of_cells(cells, ideal=path.ideal), 1, len(known), len(band))

@@ -14,6 +14,7 @@ from jaxmpc.law.gains import Gains
 from jaxmpc.synthesis.plant import hold_integrals
 from jaxmpc.world.contact import Contact, ContactState, init, move, sense
 from jaxmpc.world.loop_path import LoopPath
+from jaxmpc.xla.once import JitOnce
 
 Scalar = Float[Array, ""]
 
@@ -44,6 +45,16 @@ def contact_of(stiffness: Any, K2: Any, path: LoopPath) -> Contact:
         sensor_pole=_pole(path.sensor_cutoff, path.T_s),
         extra_delay=jnp.asarray(path.delay - 1.0),
     )
+
+
+def contacts_of(K2: Any, stiffness: Any, path: LoopPath) -> Contact:
+    """Contacts of controllers with tissues, (controllers, stiffness)."""
+    over_tissues = jax.vmap(contact_of, in_axes=(0, None, None))
+    found: Contact = jax.vmap(over_tissues, in_axes=(None, 0, None))(stiffness, K2, path)
+    return found
+
+
+contacts_between = JitOnce(contacts_of)
 
 
 def _pole(cutoff: Any, T_s: Any) -> Any:

@@ -22,7 +22,9 @@ from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
 from jaxmpc.synthesis.timing import Timing
 from jaxmpc.xla import ops
+from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
+from jaxmpc.xla.rows import reshaped
 
 
 def design_one(
@@ -99,17 +101,29 @@ def _on_unit_tissue(gains: Gains, stiffness: Any) -> Gains:
     return found._replace(**vectors)
 
 
-def over_batch(function: Any, batch_shape: tuple[int, ...]) -> Any:
-    """`jax.vmap` once per leading dimension of a batch."""
-    for _ in batch_shape:
-        function = jax.vmap(function)
-    return function
+def _row_by_row(params: Params, T_s: Any, force_filter: ForceFilter | None) -> tuple[Gains, Float[Array, " rows"]]:
+    found: tuple[Gains, Any] = jax.vmap(lambda one: design_one(one, T_s, 1.0, force_filter))(params)
+    return found
 
 
-@jax.jit
-def _design(params: Params, T_s: Any, force_filter: ForceFilter | None) -> Gains:
-    gains: Gains = over_batch(lambda p: design_one(p, T_s, 1.0, force_filter)[0], params.batch_shape)(params)
-    return gains
+_design = JitOnce(_row_by_row)
+
+
+def designed(
+    params: Params, T_s: Any, force_filter: ForceFilter | None = None
+) -> tuple[Gains, Float[Array, " controllers"]]:
+    """Gains, and Riccati residuals [-], of a batch of one leading dimension; float64, traceable.
+
+    Whoever calls it gets the same program for the same number of controllers of one structure.
+
+    Args:
+        params: The controllers.
+        T_s: Sampling time [s].
+        force_filter: What the measured force passes first.
+    """
+    arguments = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (params, T_s, force_filter))
+    found: tuple[Gains, Any] = _design(*arguments)
+    return found
 
 
 @in_float64
@@ -128,5 +142,6 @@ def design(params: Params, timing: Timing | None = None, force_filter: ForceFilt
     Returns:
         L (…, 3), K (…, 3 + N), mpc_ref (…, 64), mpc_x (…, 2), mpc_u (…), … in float64; see `Gains`.
     """
-    gains: Gains = _design(params, (timing or Timing()).T_s, force_filter)
-    return gains
+    batch = params.batch_shape
+    gains, _ = designed(reshaped(params, len(batch), -1), (timing or Timing()).T_s, force_filter)
+    return reshaped(gains, 1, *batch)

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmpc import InputError, Params, Status, design, margins
+from jaxmpc import InputError, Params, Status, design, margins, stability
 from jaxmpc.law import cascade
 from jaxmpc.law.force_filter import ForceFilter
+from jaxmpc.stability import CELLS
 from jaxmpc.stability.crossings import loop_margins
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius, transition_matrix
 from jaxmpc.stability.response import filter_response, loop_response
@@ -315,3 +316,18 @@ def test_batches_and_stiffness_sets_keep_their_shape() -> None:
 def test_impossible_tissue_or_delay_is_refused(stiffness: float, delay: int) -> None:
     with pytest.raises(InputError, match="must be"):
         margins(Params(), stiffness, delay=delay)
+
+
+@pytest.mark.parametrize("ideal", [False, True])
+def test_loops_of_any_number_as_they_run_and_ideal_are_judged_by_one_program(ideal: bool) -> None:
+    """One for just these loops says the same of each; they are one more than a block holds, of two controllers."""
+    stiffness = np.geomspace(375.0, 1900.0, CELLS // 2 + 1)[:, None]
+    both = Params.stack([Params(), TUNED])
+    margins(Params(), 810.0)
+    programs = stability._block.programs
+    found = margins(both, stiffness, ideal=ideal)
+    assert stability._block.programs == programs
+    assert found.M_s.shape == (2, *stiffness.shape)
+    alone = jax.jit(lambda params: margins(params, stiffness, ideal=ideal))(both)
+    for name, values in alone._asdict().items():
+        np.testing.assert_allclose(getattr(found, name), values, rtol=1e-9, err_msg=name)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmpc.closed_loops import ClosedLoops, close_loops, contacts_of, margins_of, per_motion, run_loops
+from jaxmpc.closed_loops import ClosedLoops, close_loops, margins_of, per_motion, run_loops
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
 from jaxmpc.law.gains import Gains
 from jaxmpc.loop.linear import AxisSignals
@@ -21,7 +21,7 @@ from jaxmpc.spectra.spectrum import Spectrum
 from jaxmpc.spectra.true_force import swing_rms, true_rms
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.family import held
-from jaxmpc.stability.loop import contact_of
+from jaxmpc.stability.loop import contact_of, contacts_of
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath
