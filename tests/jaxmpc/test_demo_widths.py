@@ -39,9 +39,16 @@ def artifact() -> Any:
 
 def flight() -> Any:
     three = np.array([0.0271, 0.0242, 0.0253])
-    ended = SimpleNamespace(well=True)
-    time = np.arange(15_000) * 1e-3
-    return SimpleNamespace(began=4.321, time=time, rms=lambda _: (three, three), clamped=lambda _: 0.00123, ended=ended)
+    ended = SimpleNamespace(well=True, safety_state=SimpleNamespace(state="idle", reason="finished"))
+    return SimpleNamespace(
+        began=4.321,
+        time=np.arange(15_000) * 1e-3,
+        rms=lambda _: (three, three),
+        clamped=lambda _: 0.00123,
+        ended=ended,
+        said="flight.npz: 17321 cycles",
+        signals={},
+    )
 
 
 class Best:
@@ -58,6 +65,7 @@ class Best:
 def nothing_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxmpc.terminal.process.use_all_cores", lambda *_: None)
+    monkeypatch.setattr("jaxmpc.pictures.flight_figure.flight_figure", lambda *_: None)
     margins = Margins(*(np.full((2, 5), 32.78) for _ in Margins._fields))
     tuned = SimpleNamespace(feasible=True, worst=(0.0474, 0.0254), margins={"as run": margins})
     swept = SimpleNamespace(best=lambda *_: Best())
