@@ -46,6 +46,7 @@ def parameters(params: Any) -> tuple[str, list[Line]]:
     """Title and lines of a controller or a batch."""
     batch = tuple(params.batch_shape)
     title = f"Params, {params.architecture}, disturbance order {params.disturbance_order}"
+    title += f", for {params.designed_delay} samples of delay" if params.designed_delay > 1 else ""
     title += ", guarded" if params.guarded else ""
     title += f", {len(params.knots)} knots" if params.knots else ""
     title += f", a batch {batch}" if batch else ""

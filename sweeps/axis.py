@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import HORIZONS, PARAMETERS
-from sweeps.targets import STRUCTURAL, target
+from sweeps.targets import COUNTED, STRUCTURAL, target
 
 Scale = Literal["list", "linear", "log", "choice"]
 Drawn = Literal["random", "sobol"]
@@ -174,4 +174,4 @@ def _check_numbers(name: str, scale: Scale, values: tuple[Any, ...], relative: b
 
 def choice_only(name: str) -> bool:
     """Whether an axis takes words or truth values alone."""
-    return name in STRUCTURAL and name != "disturbance_order"
+    return name in STRUCTURAL and name not in COUNTED

@@ -14,8 +14,10 @@ from jaxmpc.quantities import PARAMETERS
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.heart.motion import Motion
 
-STRUCTURAL = ("architecture", "disturbance_order", "guarded")
-"""What of a controller is no number and can be swept: each value is a program of its own."""
+COUNTED = ("disturbance_order", "designed_delay")
+"""What of that is told by whole numbers."""
+STRUCTURAL = ("architecture", *COUNTED, "guarded")
+"""What of a controller is no number to be tuned and can be swept: each value is a program of its own."""
 TABLES: Mapping[str, type[msgspec.Struct]] = MappingProxyType(
     {"motion": Motion, "reference": Reference, "sensor": SensorSettings, "tissue": TissueSettings, "arm": ArmSettings}
 )

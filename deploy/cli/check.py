@@ -120,7 +120,8 @@ def _loop(artifact: "Artifact") -> str:
     """Delay and filters that the margins hold with."""
     loop, force_filter = artifact.loop, artifact.gains.force_filter
     low_passes = (("velocity", loop.velocity_cutoff, "rad/s"), ("sensor", loop.sensor_cutoff / (2.0 * math.pi), "Hz"))
-    parts = [f"delay {loop.delay}", "ideal damping" if loop.ideal else "as it runs"]
+    designed = "" if artifact.gains.K_earlier is None else ", designed for 2"
+    parts = [f"delay {loop.delay}{designed}", "ideal damping" if loop.ideal else "as it runs"]
     parts += [
         f"{name} low-pass {cutoff:g} {unit}" if cutoff else f"no {name} low-pass" for name, cutoff, unit in low_passes
     ]

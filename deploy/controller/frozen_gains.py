@@ -33,7 +33,8 @@ def _check_family(gains: Gains, family: GainSchedule) -> None:
     if any(low >= high for low, high in pairwise(places)):
         raise InputError("schedule.knots", places, "in the order of their stiffness", AGAIN)
     for knot in family.knots:
-        alike = len(knot.gains.K) == len(gains.K) and len(knot.gains.mpc_ref) == len(gains.mpc_ref)
+        late = (knot.gains.K_earlier is None) == (gains.K_earlier is None)
+        alike = late and len(knot.gains.K) == len(gains.K) and len(knot.gains.mpc_ref) == len(gains.mpc_ref)
         if not alike or (knot.gains.guard, knot.gains.force_filter, knot.gains.schedule) != (None, None, None):
             raise InputError("schedule.knots", "of another structure", "of the structure of the fixed gains", AGAIN)
 
@@ -53,7 +54,7 @@ def _plain(value: Any) -> Any:
 
 def _checked(kind: Any, value: Any, name: str, prefix: str) -> Any:
     known, table = declared(kind), dict(value) if isinstance(value, Mapping) else value
-    parts = [key for key, each in known.items() if not isinstance(each, Constant)]
+    parts = [key for key, each in known.items() if not isinstance(each, Constant) or each.optional]
     if isinstance(table, dict):
         table = dict.fromkeys(parts) | table
     table = keyed(name, table, known)
@@ -62,7 +63,7 @@ def _checked(kind: Any, value: Any, name: str, prefix: str) -> Any:
 
 def _entry(kind: Any, value: Any, key: str, name: str) -> Any:
     if isinstance(kind, Constant):
-        return _constant(name, value, kind)
+        return None if value is None and kind.optional else _constant(name, value, kind)
     if isinstance(kind, tuple):
         if not isinstance(value, list | tuple) or not value:
             raise InputError(name, value, "one or more tables", AGAIN)

@@ -13,6 +13,13 @@ The disturbance order N takes p for an N-th order random walk: noise w drives th
 d, so Σⱼ (−1)ʲ C(N,j) pₖ₋ⱼ = w, N − 1 samples late, which changes no estimate. The differences only predict: pₖ acts
 where vₖ does, so p̂ₖ alone cancels it.
 
+Where commands act after two samples, two inputs are on the way: the last, x̂₃, and the one before, ŵ, which acts first.
+MPC and state feedback of the design for one sample are then given force and rate a sample ahead,
+
+    x̃ₖ = Φ₂ x̂ₖ[:2] + Γ₂ ŵₖ,   ŵ⁻ₖ = x̂₃,ₖ₋₁,   and x̂⁻ₖ[:2] = x̃ₖ₋₁
+
+so that the loop has the poles of that design and one more at 0.
+
 Erratum: eq. (12) prints [C 1]; [C 0] is needed to obtain (33).
 Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain of 1 (Fig. 1 shows L₁).
 """
@@ -31,7 +38,7 @@ class AxisState(NamedTuple):
     """What one axis remembers between two samples."""
 
     x_hat: tuple[Scalar, Scalar, Scalar]
-    """Estimate of force [N], force rate [N/s] and delayed input [m/s²]."""
+    """Estimate of force [N], force rate [N/s] and last input, which has yet to act [m/s²]."""
     p_hat: Scalar
     """Active state: estimated disturbance at the input [m/s²]."""
     u: Scalar
@@ -44,6 +51,8 @@ class AxisState(NamedTuple):
     """What the filter of the measured force remembers; None without one."""
     tissue: StiffnessEstimate | None = None
     """What is known of the tissue; None without a schedule."""
+    earlier: Scalar | None = None
+    """Estimate of the input before the last, where that has yet to act too [m/s²]; None where it has acted."""
 
 
 def init(gains: Gains, force: Scalar = 0.0) -> AxisState:
@@ -52,7 +61,8 @@ def init(gains: Gains, force: Scalar = 0.0) -> AxisState:
     schedule = gains.schedule
     tissue = None if schedule is None else unknown(schedule.identification, force)
     filtered = None if gains.force_filter is None else FilteredForce(force, zero)
-    return AxisState((force, zero, zero), zero, force, zero, (zero,) * (order(gains) - 1), filtered, tissue)
+    earlier = None if gains.K_earlier is None else zero
+    return AxisState((force, zero, zero), zero, force, zero, (zero,) * (order(gains) - 1), filtered, tissue, earlier)
 
 
 def filter_force(gains: Gains, state: AxisState, force: Scalar) -> tuple[AxisState, Scalar]:
@@ -68,19 +78,20 @@ def expected_force(gains: Gains, state: AxisState) -> Scalar:
     if gains.force_filter is not None and state.filtered is not None:
         return force_filter.expected(gains.force_filter, state.filtered)
     blind = gains._replace(K=(0.0,) * len(gains.K))  # without a correction, an estimate is a prediction
-    (y, _, _), _, _ = estimate(blind, state, 0.0)
-    return y
+    return estimate(blind, state, 0.0).x_hat[0]
 
 
-def estimate(
-    gains: Gains, state: AxisState, force: Scalar
-) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar, tuple[Scalar, ...]]:
-    """Active observer: predict with the command that was applied, correct with the measured force [N]."""
+def _moved(gains: Gains, y: Scalar, ydot: Scalar, acting: Scalar) -> tuple[Scalar, Scalar]:
+    """Force [N] and force rate [N/s] a sample on, in which an acceleration [m/s²] acts."""
     (phi_12, phi_22), (gamma_1, gamma_2) = gains.phi, gains.gamma
+    return y + phi_12 * ydot + gamma_1 * acting, phi_22 * ydot + gamma_2 * acting
+
+
+def estimate(gains: Gains, state: AxisState, force: Scalar) -> AxisState:
+    """Active observer: predict with the command that was applied, correct with the measured force [N]."""
     K_1, K_2, K_3, *K_p = gains.K
-    y, ydot, delayed = state.x_hat
-    y_prior = y + phi_12 * ydot + gamma_1 * delayed
-    ydot_prior = phi_22 * ydot + gamma_2 * delayed
+    y, ydot, last = state.x_hat
+    y_prior, ydot_prior = _moved(gains, y, ydot, last if state.earlier is None else state.earlier)
     innovation = force - y_prior
     x_hat = (
         y_prior + K_1 * innovation,
@@ -90,7 +101,8 @@ def estimate(
     active = (state.p_hat, *state.trend)
     prior = (*(value + change for value, change in zip(active[:-1], state.trend, strict=True)), active[-1])
     p_hat, *trend = (value + gain * innovation for value, gain in zip(prior, K_p, strict=True))
-    return x_hat, p_hat, tuple(trend)
+    earlier = None if gains.K_earlier is None else last + gains.K_earlier * innovation
+    return state._replace(x_hat=x_hat, p_hat=p_hat, trend=tuple(trend), earlier=earlier)
 
 
 def step(gains: Gains, state: AxisState, force: Scalar, force_ref: Sequence[Scalar]) -> tuple[AxisState, Scalar]:
@@ -111,9 +123,12 @@ def step(gains: Gains, state: AxisState, force: Scalar, force_ref: Sequence[Scal
 
 def respond(gains: Gains, state: AxisState, force: Scalar, force_ref: Sequence[Scalar]) -> tuple[AxisState, Scalar]:
     """Advance one axis by one sample, with the filtered force yₖ [N]; else as `step`."""
-    x_hat, p_hat, trend = estimate(gains, state, force)
-    u = state.u - gains.mpc_x[0] * x_hat[0] - gains.mpc_x[1] * x_hat[1] - gains.mpc_u * state.u
+    state = estimate(gains, state, force)
+    y, ydot, last = state.x_hat
+    if state.earlier is not None:
+        y, ydot = _moved(gains, y, ydot, state.earlier)
+    u = state.u - gains.mpc_x[0] * y - gains.mpc_x[1] * ydot - gains.mpc_u * state.u
     for weight, wanted in zip(gains.mpc_ref, force_ref, strict=True):
         u = u + weight * wanted
-    v = gains.input_gain * u - gains.L[0] * x_hat[0] - gains.L[1] * x_hat[1] - gains.L[2] * x_hat[2] - p_hat
-    return AxisState(x_hat, p_hat, u, v, trend, state.filtered, state.tissue), v
+    v = gains.input_gain * u - gains.L[0] * y - gains.L[1] * ydot - gains.L[2] * last - state.p_hat
+    return state._replace(u=u, v=v), v

@@ -25,9 +25,9 @@ class Gains(NamedTuple):
     gamma: Annotated[Vector, _PAIR]
     """Γ₂: force [N] and force rate [N/s] gained in one sample per acceleration [m/s²], shape (2,)."""
     K: Annotated[Vector, _ANY]
-    """Kalman gain: force [-], force rate [1/s], delayed input, active state and its differences [m/s²/N], (3 + N,)."""
+    """Kalman gain: force [-], force rate [1/s], last input, active state and its differences [m/s²/N], (3 + N,)."""
     L: Annotated[Vector, Constant((3,))]
-    """State feedback: force [m/s²/N], force rate [m/s/N], delayed input [-], shape (3,)."""
+    """State feedback: force [m/s²/N], force rate [m/s/N], last input [-], shape (3,)."""
     input_gain: Annotated[Scalar, Constant()]
     """g, acceleration per unit of u: L₁ [m/s²/N] makes the DC gain u → y one."""
     mpc_ref: Annotated[Vector, _ANY]
@@ -36,6 +36,8 @@ class Gains(NamedTuple):
     """MPC feedback of the estimated force [-] and force rate [s], shape (2,)."""
     mpc_u: Annotated[Scalar, Constant()]
     """MPC feedback of the previous output [-]."""
+    K_earlier: Annotated[Scalar | None, Constant(optional=True)] = None
+    """Kalman gain of the input before the last [m/s²/N], for commands that act after two samples; None after one."""
     guard: GainBackoff | None = None
     """What takes the gain back while the force swings; None takes none."""
     force_filter: ForceFilter | None = None
@@ -109,6 +111,7 @@ def with_gain(gains: Gains, gain: Scalar) -> Gains:
     """The same controller for a tissue of stiffness K̂_s/gain: what it commands is scaled, what it estimates is not."""
     K_1, K_2, *K_v = (gains.K[i] for i in range(len(gains.K)))
     return gains._replace(
+        K_earlier=None if gains.K_earlier is None else gain * gains.K_earlier,
         gamma=tuple(each / gain for each in gains.gamma),
         K=(K_1, K_2, *(gain * each for each in K_v)),
         L=(gain * gains.L[0], gain * gains.L[1], gains.L[2]),
@@ -133,6 +136,7 @@ def backed_off(gains: Gains, gain: Scalar, ops: Ops) -> Gains:
         slower.append(factor * slow * each)
         factor = factor * slow
     return scaled._replace(
+        K_earlier=None if scaled.K_earlier is None else slow * scaled.K_earlier,
         K=(K_1, K_2, slow * K_3, *slower),
         L=(gain * scaled.L[0], slow * scaled.L[1], slow * scaled.L[2]),
         input_gain=gain * scaled.input_gain,

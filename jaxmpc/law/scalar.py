@@ -25,6 +25,8 @@ class Constant(NamedTuple):
     """Least value."""
     below: float | None = None
     """What every value is below."""
+    optional: bool = False
+    """Whether it may be None."""
 
 
 def declared(table: type) -> dict[str, Any]:

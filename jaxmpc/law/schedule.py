@@ -94,7 +94,9 @@ def _numbers(gains: Gains) -> tuple[Any, ...]:
 
 
 def _moved(start: Any, share: Scalar, lower: Any, upper: Any) -> Any:
-    """Start + share · (upper − lower), number by number."""
+    """Start + share · (upper − lower), number by number; None where there is none."""
+    if start is None:
+        return None
     if isinstance(start, tuple):
         return tuple(_moved(*each) for each in zip(start, (share,) * len(start), lower, upper, strict=True))
     return start + share * (upper - lower)

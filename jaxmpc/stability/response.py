@@ -31,6 +31,13 @@ def controller_response(gains: Gains, q: Response) -> Response:
         V/Y = f_I / (dᴺ {q² w₂ (γ₁ K₂ − γ₂ K₁) − m [q b K₃ + (1 + q L₃)(q φ₁₂ K₂ + e K₁)] − (1 − K₁)(m e d + f_V)}),
 
     after e dᴺ⁺¹ has cancelled out: so the N integrators keep their digits down to any frequency.
+
+    Where commands act after two samples, Ŵ acts where X̂₃ does above, and X̃ = (X̂ − K I)/q is in the place of X̂ in V:
+
+        dᴺ Ŵ = n_w I + q² dᴺ V,  n_w = q n₃ + K_w dᴺ,
+        e dᴺ X̃₂ = (γ₂ n_w + K₂ φ₂₂ dᴺ) I + γ₂ q² dᴺ V,  e dᴺ⁺¹ X̃₁ = (b n_w + (φ₁₂ K₂ + e K₁) dᴺ) I + q² dᴺ b V,
+        V/Y = f_I / (dᴺ {q² [w₂ (K₂ (γ₁ − b) − γ₂ K₁) − w₁ b K₁] − (1 − K₁)(m e d + f_V)
+                         − m [q² b K₃ + (1 + q L₃)(q b K_w + q φ₁₂ K₂ + e K₁)]}).
     """
     (phi_12, phi_22), (gamma_1, gamma_2) = gains.phi, gains.gamma
     K_1, K_2, K_3, *K_p = (gains.K[i] for i in range(len(gains.K)))
@@ -39,16 +46,27 @@ def controller_response(gains: Gains, q: Response) -> Response:
     for gain in K_p[-2::-1]:
         n_p, integrators = q * n_p + gain * integrators, d * integrators
     n_3 = q * n_p + K_3 * integrators
-    n_2 = gamma_2 * q * n_3 + K_2 * integrators
-    n_1 = q * (phi_12 * n_2 + gamma_1 * e * n_3) + K_1 * e * integrators
     b = phi_12 * gamma_2 * q + gamma_1 * e
+    if gains.K_earlier is None:
+        n_2 = gamma_2 * q * n_3 + K_2 * integrators
+        n_1 = q * (phi_12 * n_2 + gamma_1 * e * n_3) + K_1 * e * integrators
+    else:
+        n_w = q * n_3 + gains.K_earlier * integrators
+        n_2 = gamma_2 * n_w + K_2 * phi_22 * integrators
+        n_1 = b * n_w + (phi_12 * K_2 + e * K_1) * integrators
 
     weight_1 = m * gains.L[0] + gains.input_gain * gains.mpc_x[0]
     weight_2 = m * gains.L[1] + gains.input_gain * gains.mpc_x[1]
     from_I = weight_1 * n_1 + d * (weight_2 * n_2 + m * e * (gains.L[2] * n_3 + n_p))
     from_V = q * (weight_1 * q * b + d * (weight_2 * gamma_2 * q + gains.L[2] * m * e))
-    rest = q * q * weight_2 * (gamma_1 * K_2 - gamma_2 * K_1) - (1.0 - K_1) * (m * e * d + from_V)
-    rest = rest - m * (q * b * K_3 + (1.0 + q * gains.L[2]) * (q * phi_12 * K_2 + e * K_1))
+    if gains.K_earlier is None:
+        rest = q * q * weight_2 * (gamma_1 * K_2 - gamma_2 * K_1) - (1.0 - K_1) * (m * e * d + from_V)
+        rest = rest - m * (q * b * K_3 + (1.0 + q * gains.L[2]) * (q * phi_12 * K_2 + e * K_1))
+    else:
+        rest = q * q * (weight_2 * (K_2 * (gamma_1 - b) - gamma_2 * K_1) - weight_1 * b * K_1)
+        rest = rest - (1.0 - K_1) * (m * e * d + from_V)
+        late = q * b * gains.K_earlier + q * phi_12 * K_2 + e * K_1
+        rest = rest - m * (q * q * b * K_3 + (1.0 + q * gains.L[2]) * late)
     response: Response = from_I / (integrators * rest)
     return response if gains.force_filter is None else response * filter_response(gains.force_filter, q)
 

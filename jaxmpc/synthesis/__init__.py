@@ -48,7 +48,8 @@ def design_one(
     Phi, Gamma = contact_model(p.Khat_s, p.K2, T_s)
     active = partial(active_observer_gain, order=p.disturbance_order)
     observer = input_noise_gain if p.architecture == "mpc" else active
-    K, residual = observer(Phi, Gamma, p.Q_x, p.Q_p, p.R)
+    K, residual = observer(Phi, Gamma, p.Q_x, p.Q_p, p.R, delay=p.designed_delay)
+    K, K_earlier = (K, None) if p.designed_delay == 1 else (jnp.concatenate([K[:2], K[3:]]), K[2])
     # Traced values pass no check; without a sample to predict there is no design, whatever the masks make of it.
     residual = jnp.where((p.Hp >= 1.0) & (p.Hu >= 1.0), residual, jnp.inf)
     phi = jnp.stack([Phi[0, 1], Phi[1, 1]])
@@ -61,16 +62,29 @@ def design_one(
         mpc_ref, mpc_x, mpc_u = first_move(delayed, jnp.stack([zero, zero, one]), lam, delta, p.Hp, p.Hu, mask_width)
         # The delayed input *is* the previous output here, so its weight moves from mₓ to mᵤ.
         move = mpc_ref, mpc_x[:2], mpc_u + mpc_x[2]
-        return Gains(phi, Gamma, K, jnp.zeros(3), one, *move, force_filter=force_filter), residual
+        gains = Gains(phi, Gamma, K, jnp.zeros(3), one, *move, K_earlier, force_filter=force_filter)
+        return _looking_ahead(gains), residual
 
     L = state_feedback(Phi, Gamma, p.T_cl, T_s)
     if p.architecture == "aob":
         # u = F_d: the move cancels the previous output and takes the next reference as it is.
-        mpc_ref = jnp.zeros(HP_MAX).at[0].set(1.0)
-        return Gains(phi, Gamma, K, L, L[0], mpc_ref, jnp.zeros(2), one, guard, force_filter), residual
-    A, B = closed_loop_model(p.T_cl, T_s)
-    mpc_ref, mpc_x, mpc_u = first_move(A, B, lam, delta, p.Hp, p.Hu, mask_width)
-    return Gains(phi, Gamma, K, L, L[0], mpc_ref, mpc_x, mpc_u, guard, force_filter), residual
+        mpc_ref, mpc_x, mpc_u = jnp.zeros(HP_MAX).at[0].set(1.0), jnp.zeros(2), one
+    else:
+        A, B = closed_loop_model(p.T_cl, T_s)
+        mpc_ref, mpc_x, mpc_u = first_move(A, B, lam, delta, p.Hp, p.Hu, mask_width)
+    gains = Gains(phi, Gamma, K, L, L[0], mpc_ref, mpc_x, mpc_u, K_earlier, guard, force_filter)
+    return _looking_ahead(gains), residual
+
+
+def _looking_ahead(gains: Gains) -> Gains:
+    """With the weights on the wanted force a sample on, as the estimates are that the law takes for two samples' delay.
+
+    Beyond what is known ahead the wanted force stays what it is there.
+    """
+    if gains.K_earlier is None:
+        return gains
+    r = gains.mpc_ref
+    return gains._replace(mpc_ref=jnp.concatenate([0.0 * r[:1], r[:-2], r[-2:-1] + r[-1:]]))
 
 
 def design_family(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[GainSchedule, Float[Array, ""]]:
@@ -135,7 +149,7 @@ def design(params: Params, timing: Timing | None = None, force_filter: ForceFilt
 
     Args:
         params: The parameters; leading dimensions are a batch.
-        timing: Sampling; the design assumes a delay of one sample, as the paper does.
+        timing: Sampling; which delay the design assumes is a parameter, `designed_delay`.
         force_filter: What the measured force passes first (`Experiment.loop_path().force_filter`); none by
             default.
 

@@ -72,34 +72,42 @@ def dare_residual(P: Matrix, Phi: Matrix, c: Vector, Q: Matrix, r: Scalar) -> Sc
 
 
 def active_observer_gain(
-    Phi: Float[Array, "2 2"], Gamma: Float[Array, "2"], Q_x: Scalar, Q_p: Scalar, R: Scalar, order: int = 1
+    Phi: Float[Array, "2 2"],
+    Gamma: Float[Array, "2"],
+    Q_x: Scalar,
+    Q_p: Scalar,
+    R: Scalar,
+    order: int = 1,
+    delay: int = 1,
 ) -> tuple[Float[Array, " states"], Scalar]:
-    r"""Kalman gain of the plant with its delayed input and an active state of order N, paper (11)–(14), (31)–(33).
+    r"""Kalman gain of the plant with its delayed inputs and an active state of order N, paper (11)–(14), (31)–(33).
 
     The covariances run on the *open-loop* augmented matrix Φₐ = [[Φᵣ, Γᵣ, 0], [0, J]], Cₐ = [C 0], where the Jordan
-    block J of N ones adds to the active state and to each of its differences the next, and Q_p drives the last.
+    block J of N ones adds to the active state and to each of its differences the next, and Q_p drives the last. Of two
+    delayed inputs the first is the one that acts first, and becomes the second.
 
     Returns:
-        K for force, force rate, delayed input, active state and its N − 1 differences, and the Riccati residual [-].
+        K for force, force rate, delayed inputs, active state and its N − 1 differences, and the Riccati residual [-].
     """
-    n = 3 + order
-    chain = jnp.eye(n, k=1) + jnp.diag(jnp.where(jnp.arange(n) < 3, 0.0, 1.0))
-    Phi_a = chain.at[:2].set(jnp.block([Phi, Gamma[:, None], jnp.zeros((2, order))]))
+    known = 2 + delay
+    n = known + order
+    chain = jnp.eye(n, k=1) + jnp.diag(jnp.where(jnp.arange(n) < known, 0.0, 1.0))
+    Phi_a = chain.at[:2].set(jnp.block([Phi, Gamma[:, None], jnp.zeros((2, n - 3))]))
     zero = 0.0 * Q_p
-    Q = jnp.diag(jnp.stack([Q_x, Q_x, Q_x, *[zero] * (order - 1), Q_p]))
+    Q = jnp.diag(jnp.stack([*[Q_x] * known, *[zero] * (order - 1), Q_p]))
     return _gain(Phi_a, jnp.eye(n)[0] + zero, Q, R)
 
 
 def input_noise_gain(
-    Phi: Float[Array, "2 2"], Gamma: Float[Array, "2"], Q_x: Scalar, Q_p: Scalar, R: Scalar
-) -> tuple[Float[Array, "4"], Scalar]:
+    Phi: Float[Array, "2 2"], Gamma: Float[Array, "2"], Q_x: Scalar, Q_p: Scalar, R: Scalar, delay: int = 1
+) -> tuple[Float[Array, " states"], Scalar]:
     r"""Kalman gain of the classical estimate: white acceleration noise Q_p on the contact, no active state.
 
-    The delayed input is known, so its gain, like that of the missing active state, is zero.
+    Delayed inputs are known, so their gains, like that of the missing active state, are zero.
     """
     zero, one = 0.0 * Q_p, 1.0 + 0.0 * Q_p
     K, residual = _gain(Phi, jnp.stack([one, zero]), Q_p * jnp.outer(Gamma, Gamma) + Q_x * jnp.eye(2), R)
-    return jnp.concatenate([K, jnp.stack([zero, zero])]), residual
+    return jnp.concatenate([K, jnp.stack([zero] * (delay + 1))]), residual
 
 
 def _gain(Phi: Matrix, c: Vector, Q: Matrix, R: Scalar) -> tuple[Vector, Scalar]:

@@ -19,8 +19,10 @@ from jaxmpc.synthesis.values import check_values, from_plain, rows_of, tables
 
 Architecture = Literal["mpc-aob", "aob", "mpc"]
 Order = Literal[1, 2, 3]
-STRUCTURE = ("architecture", "disturbance_order", "guarded", "listening")
-"""What of a controller is no number to be tuned but needs a program of its own."""
+Delay = Literal[1, 2]
+SHARED = ("architecture", "disturbance_order", "designed_delay")
+STRUCTURE = (*SHARED, "guarded", "listening")
+"""What of a controller is no number to be tuned but needs a program of its own; the first of it knots share."""
 
 
 class Params(eqx.Module, ParameterValues):
@@ -37,6 +39,8 @@ class Params(eqx.Module, ParameterValues):
     disturbance_order: Order = eqx.field(static=True, default=1)
     """N, order of the random walk that the active state is taken for: 1 constant, 2 ramp, 3 parabola between samples.
     The same bandwidth needs a lower Q_p the higher N is."""
+    designed_delay: Delay = eqx.field(static=True, default=1)
+    """After how many samples commands act, as the design assumes: 1, as in the paper, or 2."""
 
     guarded: bool = eqx.field(static=True, default=False)
     """Whether the gain falls while the force swings faster than a heart can (`law.gain_backoff`); on the arm alone."""
@@ -56,6 +60,9 @@ class Params(eqx.Module, ParameterValues):
         if self.architecture == "mpc" and order != 1:
             remedy = "MPC alone has no active state: leave it out."
             raise InputError("disturbance_order", order, '1 with the architecture "mpc"', remedy)
+        delay = self.designed_delay
+        if type(delay) is not int or delay not in get_args(Delay):
+            raise InputError("designed_delay", delay, "1 or 2", "The paper's design has 1.")
         if not isinstance(self.guarded, bool):
             raise InputError(
                 "guarded", self.guarded, "true or false", "True lets the gain fall while the force swings."
@@ -74,9 +81,9 @@ class Params(eqx.Module, ParameterValues):
             remedy = "Give [params.listening] a stiffness for every [[params.knots]]."
             raise InputError("knots", f"{len(self.knots)} of them", f"as many as stiffnesses, {len(places)}", remedy)
         for knot in self.knots:
-            same = (knot.architecture, knot.disturbance_order) == (self.architecture, self.disturbance_order)
+            same = all(getattr(knot, name) == getattr(self, name) for name in SHARED)
             if knot.knots or knot.guarded or not same:
-                remedy = "Leave architecture, disturbance_order and guarded to the table above it."
+                remedy = f"Leave {', '.join(SHARED)} and guarded to the table above it."
                 raise InputError("knots", "of another structure", "of the structure of [params]", remedy)
 
     def __repr__(self) -> str:
@@ -128,7 +135,7 @@ class Params(eqx.Module, ParameterValues):
             if name not in known:
                 raise InputError(name, value, "a known parameter", nearest(name, known))
             given[name] = from_plain(name, value) if name in PARAMETERS else value
-        shared: dict[str, Any] = {name: given[name] for name in ("architecture", "disturbance_order") if name in given}
+        shared: dict[str, Any] = {name: given[name] for name in SHARED if name in given}
         given["knots"] = tuple(Params.from_dict({**shared, **knot}) for knot in tables("knots", given.get("knots", ())))
         if isinstance(listening := given.get("listening"), Mapping):
             given["listening"] = Listening.from_dict(listening)
@@ -160,6 +167,8 @@ class Params(eqx.Module, ParameterValues):
         values = {name: np.asarray(getattr(self, name)).tolist() for name in PARAMETERS}
         whole = {name: int(values[name]) for name in HORIZONS if values[name] == int(values[name])}
         found = {**self.structure, **values, **whole}
+        if self.designed_delay == 1:  # as in the paper: goes without saying
+            del found["designed_delay"]
         if self.listening is None:
             return {name: value for name, value in found.items() if name != "listening"}
         knots = [

@@ -12,7 +12,7 @@ class Timing:
 
     Attributes:
         T_s: Sampling time [s].
-        delay: Samples between a command and its effect, 1 or 2; the design always assumes 1 [samples].
+        delay: Samples between a command and its effect, 1 or 2; the design assumes `Params.designed_delay` [samples].
     """
 
     T_s: float = 1e-3

@@ -156,7 +156,10 @@ def test_each_wrong_array_has_its_sentence(data, name):
             from_bytes(seal(header, wrong))
 
 
-@pytest.mark.parametrize("name", [name for name, value in declared(Gains).items() if isinstance(value, Constant)])
+CONSTANTS = {name: value for name, value in declared(Gains).items() if isinstance(value, Constant)}
+
+
+@pytest.mark.parametrize("name", [name for name, value in CONSTANTS.items() if not value.optional])
 def test_each_wrong_gain_has_its_sentence(data, name):
     header, arrays = unseal(data)
     good, gains = header["gains"][name], header["gains"]
@@ -173,6 +176,21 @@ def test_each_wrong_gain_has_its_sentence(data, name):
     ]:
         with pytest.raises(ArtifactError, match=message):
             from_bytes(seal(header | {"gains": wrong}, arrays))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (0.66, "deviation from the golden trace"),
+        ("0.66", "K_earlier = an array of <U.*: must be an array of numbers"),
+        ([0.66], r"K_earlier = an array of shape \(1,\): must be of shape \(\)"),
+    ],
+)
+def test_a_gain_for_two_samples_of_delay_is_checked_too(data, wrong, message):
+    header, arrays = unseal(data)
+    assert "K_earlier" not in header["gains"]
+    with pytest.raises(ArtifactError, match=message):
+        from_bytes(seal(header | {"gains": header["gains"] | {"K_earlier": wrong}}, arrays))
 
 
 @pytest.mark.parametrize("count", [3, 7])

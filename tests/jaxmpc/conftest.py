@@ -42,9 +42,17 @@ def loop_matrices(
     alpha = np.exp(-sensor_cutoff * T_S) if sensor_cutoff else 0.0
     beta = np.exp(-velocity_cutoff * T_S)
     K, L = np.asarray(gains.K, float), np.asarray(gains.L, float)
-    Phi_r = np.zeros((3, 3))
+    order = len(K) - 3
+    # Of two inputs on the way the earlier comes first: it acts, and the later takes its place.
+    waiting = 1 if gains.K_earlier is None else 2
+    known = 2 + waiting
+    Phi_r = np.eye(known, k=1)
+    Phi_r[:2] = 0.0
     Phi_r[:2, :2] = [[1.0, gains.phi[0]], [0.0, gains.phi[1]]]
     Phi_r[:2, 2] = gains.gamma
+    if waiting == 2:
+        K = np.insert(K, 2, float(gains.K_earlier))
+    ahead = np.linalg.matrix_power(Phi_r, waiting - 1)
     k_ref = float(np.sum(gains.mpc_ref))
 
     def push(queue: np.ndarray, value: float, late: float) -> tuple[np.ndarray, np.ndarray]:
@@ -55,28 +63,28 @@ def loop_matrices(
         at = delay + whole
         return queue, newer * queue[at] + (Gamma_full - newer) * queue[at + 1]
 
-    order = len(K) - 3
     differences = np.eye(order) + np.eye(order, k=1)
 
     def step(state: np.ndarray, heart: float, noise: float, ref: float) -> tuple[np.ndarray, float]:
-        x_hat, p, u, v_last, state = state[:3], state[3 : 3 + order], *state[3 + order : 5 + order], state[5 + order :]
+        x_hat, p, (u, v_last), state = np.split(state, np.cumsum([known, order, 2]))
         tip, force_f, velocity_f = state[:2], state[2], state[3]
         queue_v, queue_w = state[4 : 4 + HISTORY], state[4 + HISTORY :]
         force_f = alpha * force_f + (1.0 - alpha) * K_s * (tip[0] - heart)
         velocity_f = beta * velocity_f + (1.0 - beta) * tip[1]
         y = force_f + noise
-        prior = Phi_r @ x_hat + np.array([0.0, 0.0, v_last + p[0]])
+        prior = Phi_r @ x_hat + (v_last + p[0]) * np.eye(known)[-1]
         innovation = y - prior[0]
-        x_hat, p = prior + K[:3] * innovation, differences @ p + K[3:] * innovation
-        u = u + k_ref * ref - np.asarray(gains.mpc_x) @ x_hat[:2] - gains.mpc_u * u
-        v = gains.input_gain * u - L @ x_hat - p[0]
+        x_hat, p = prior + K[:known] * innovation, differences @ p + K[known:] * innovation
+        expected = (ahead @ x_hat)[:3]
+        u = u + k_ref * ref - np.asarray(gains.mpc_x) @ expected[:2] - gains.mpc_u * u
+        v = gains.input_gain * u - L @ expected - p[0]
         damping = 0.0 if ideal else -K2 * velocity_f
         queue_v, push_v = push(queue_v, gain_v * gain_a * v, late_v + late_a)
         queue_w, push_w = push(queue_w, gain_a * damping, late_a)
         tip = Phi_plant @ tip + push_v + push_w
         return np.concatenate([x_hat, p, [u, v], tip, [force_f, velocity_f], queue_v, queue_w]), y
 
-    size = 9 + order + 2 * HISTORY
+    size = 6 + known + order + 2 * HISTORY
     zero = np.zeros(size)
     columns = [step(row, 0.0, 0.0, 0.0) for row in np.eye(size)]
     inputs = [step(zero, *row) for row in np.eye(3)]

@@ -189,25 +189,26 @@ def test_its_slope_is_that_of_central_differences() -> None:
     assert slope == pytest.approx(difference, rel=1e-6)
 
 
-@pytest.mark.parametrize("order", [1, 3])
+@pytest.mark.parametrize(("order", "designed"), [(1, 1), (3, 1), (1, 2)])
 @pytest.mark.parametrize("architecture", ["mpc-aob", "aob"])
 @in_float64
-def test_a_lower_gain_scales_the_controller_and_nothing_else(architecture: str, order: int) -> None:
+def test_a_lower_gain_scales_the_controller_and_nothing_else(architecture: str, order: int, designed: int) -> None:
     """V/Y in closed form, which other tests hold against a state-space model."""
-    values = {"architecture": architecture, "disturbance_order": order, "Q_p": 10.0**-order}
+    kind = {"architecture": architecture, "disturbance_order": order, "designed_delay": designed}
+    values = {**kind, "Q_p": 10.0**-order}
     gains = jax.tree.map(jnp.asarray, design(Params.from_dict(values)))
     q = jnp.exp(-1j * jnp.geomspace(1e-3, 3.0, 50))
     whole = np.asarray(controller_response(gains, q))
     np.testing.assert_allclose(controller_response(with_gain(gains, 0.3), q), 0.3 * whole, rtol=1e-9)
 
 
-@pytest.mark.parametrize("delay", [1, 2])
+@pytest.mark.parametrize(("delay", "designed"), [(1, 1), (2, 1), (2, 2)])
 @pytest.mark.parametrize("name", ["text", "cautious"])
 @in_float64
-def test_every_gain_that_is_left_is_stable_on_soft_tissue(name: str, delay: int) -> None:
+def test_every_gain_that_is_left_is_stable_on_soft_tissue(name: str, delay: int, designed: int) -> None:
     """Down to the least; scaled alone, without slower integral action, the text design swings slowly."""
     path = replace(Experiment.published("table-1-wam"), delay=delay).loop_path()
-    params = Params.published(name)
+    params = Params.from_dict({**Params.published(name).to_dict(), "designed_delay": designed})
     gains = jax.tree.map(jnp.asarray, design(params, force_filter=path.force_filter))
 
     @partial(jax.jit, static_argnums=0)

@@ -31,10 +31,13 @@ def jax_trace(gains, force, force_ref):
         return np.asarray(v)
 
 
-@pytest.mark.parametrize(("architecture", "order"), [("mpc-aob", 1), ("aob", 1), ("mpc", 1), ("mpc-aob", 3)])
+@pytest.mark.parametrize(
+    ("architecture", "order", "delay"),
+    [("mpc-aob", 1, 1), ("aob", 1, 1), ("mpc", 1, 1), ("mpc-aob", 3, 1), ("mpc-aob", 1, 2), ("mpc", 1, 2)],
+)
 @pytest.mark.parametrize("preview", [False, True])
-def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architecture, order, preview, tmp_path):
-    gains = design(Params(architecture=architecture, disturbance_order=order))
+def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architecture, order, delay, preview, tmp_path):
+    gains = design(Params(architecture=architecture, disturbance_order=order, designed_delay=delay))
     draw = np.random.default_rng(5)
     n, ahead = 10_000, (64,) if preview else ()
     force, force_ref = draw.normal(-5.0, 1.0, (n, 3)), draw.normal(-5.0, 1.0, (n, 3, *ahead))
@@ -48,6 +51,7 @@ def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architectu
     frozen = freeze(tmp_path / "c.npz", arrays, 1e-3, 10.0, LOOP, params, [ROW], floor, short, {}, preview)
     assert frozen.gains.K == tuple(np.asarray(gains.K).tolist())
     assert len(frozen.gains.K) == 3 + order
+    assert (frozen.gains.K_earlier is None) == (delay == 1)
     assert frozen.gains.L == tuple(np.asarray(gains.L).tolist())
 
 

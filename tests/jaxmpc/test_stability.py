@@ -29,6 +29,14 @@ TUNED = Params(K2=100.0, Khat_s=970.0, Q_p=10.0, T_cl=2e-4)
 RAMP = Params(K2=40.0, Khat_s=550.0, Q_p=1e-6, T_cl=2e-4, disturbance_order=2)
 PARABOLA = Params(K2=40.0, Khat_s=550.0, Q_p=1e-9, T_cl=2e-4, disturbance_order=3)
 CLASSICAL = Params(architecture="mpc", Q_p=1e3, Hp=60, Hu=10)
+LATE = [
+    (Params(designed_delay=2), 810.0, 2, True),
+    (Params.from_dict({**Params.published("cautious").to_dict(), "designed_delay": 2}), 1900.0, 2, False),
+    (Params(K2=40.0, Khat_s=550.0, Q_p=1e-9, disturbance_order=3, designed_delay=2), 600.0, 2, False),
+    (Params(architecture="aob", designed_delay=2), 810.0, 1, False),
+    (Params(architecture="mpc", Q_p=1e3, Hp=60, Hu=10, designed_delay=2), 600.0, 2, False),
+]
+"""Designed for two samples of delay."""
 CASES = [
     (Params(), 375.0, 1, True),
     (Params(), 810.0, 2, True),
@@ -55,7 +63,7 @@ def cut_margins(params: Params, K_s: Any, delay: Any, ideal: bool, cut: Any) -> 
     return loop_margins(loop, loop, T_S)
 
 
-@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES)
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES, *LATE])
 def test_the_cut_at_the_force_is_the_cut_at_v(params: Params, K_s: float, delay: int, ideal: bool) -> None:
     """What comes back of a force added to the measured one, from one sample of law and world, differentiated."""
     gains = design(params)
@@ -82,16 +90,15 @@ def radius(A: np.ndarray) -> float:
     return float(np.abs(np.linalg.eigvals(A)).max())
 
 
-@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES, PARABOLIC])
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES, PARABOLIC, *LATE])
 def test_spectral_radius_is_that_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
 ) -> None:
     gains = design(params)
     sensor = 0.0 if ideal else SENSOR
     A, *_ = independent_loop(gains, K_s, float(params.K2), delay, ideal, sensor)
-    expected = (
-        radius(A[:, np.arange(len(A)) != 3][np.arange(len(A)) != 3]) if params.architecture == "mpc" else radius(A)
-    )
+    keep = np.arange(len(A)) != 2 + params.designed_delay if params.architecture == "mpc" else slice(None)
+    expected = radius(A[:, keep][keep])
     contact = contact_of(K_s, params.K2, loop_path(delay=delay, ideal=ideal))
     assert float(spectral_radius(closed_loop_matrix(gains, contact))) == pytest.approx(expected, rel=1e-9)
 
@@ -99,7 +106,7 @@ def test_spectral_radius_is_that_of_the_independent_loop(
 @pytest.mark.parametrize("cut", [0.0, 1.0])
 @pytest.mark.parametrize(
     ("params", "K_s", "delay", "ideal"),
-    [*CASES[:4], *(pytest.param(*case, marks=pytest.mark.oracle) for case in CASES[4:])],
+    [*CASES[:4], LATE[1], *(pytest.param(*case, marks=pytest.mark.oracle) for case in (*CASES[4:], *LATE[2:]))],
 )
 def test_gain_or_delay_at_the_margin_puts_a_pole_on_the_unit_circle(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool, cut: float
@@ -111,7 +118,7 @@ def test_gain_or_delay_at_the_margin_puts_a_pole_on_the_unit_circle(
 
     def at_the_limit(**change: float) -> float:
         A, *_ = build(**change)
-        keep = np.arange(len(A)) != 3 if params.architecture == "mpc" else slice(None)
+        keep = np.arange(len(A)) != 2 + params.designed_delay if params.architecture == "mpc" else slice(None)
         return radius(A[keep][:, keep])
 
     for gain_db in (float(found.gain_margin_db), -float(found.gain_reduction_db)):
@@ -213,7 +220,7 @@ def test_margins_are_those_of_python_control(params: Params, K_s: float, delay: 
     assert float(found.M_s) == pytest.approx(1.0 / distance.min(), rel=1e-3)
 
 
-@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES[:7], PARABOLIC])
+@pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES[:7], PARABOLIC, *LATE])
 def test_closed_form_response_is_that_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
 ) -> None:

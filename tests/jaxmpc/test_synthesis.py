@@ -1,5 +1,7 @@
 """Design against scipy, brute force and central differences; horizons against exact ones; compilations counted."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -223,19 +225,28 @@ NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 
 
 @pytest.mark.parametrize(
-    ("architecture", "order"),
-    [*(pytest.param(name, 1, marks=pytest.mark.oracle) for name in ("mpc-aob", "aob", "mpc")), ("mpc-aob", 2)],
+    ("architecture", "order", "delay"),
+    [
+        *(pytest.param(name, 1, 1, marks=pytest.mark.oracle) for name in ("mpc-aob", "aob", "mpc")),
+        pytest.param("mpc-aob", 2, 1),
+        *(pytest.param(name, 1, 2, marks=pytest.mark.oracle) for name in ("mpc-aob", "mpc")),
+    ],
 )
 @pytest.mark.parametrize("mode", [pytest.param("forward", marks=pytest.mark.oracle), "reverse"])
-def test_gradient_of_the_design_is_the_central_difference(architecture: str, order: int, mode: str) -> None:
+def test_gradient_of_the_design_is_the_central_difference(architecture: str, order: int, delay: int, mode: str) -> None:
     """Relative to the largest component over log-parameters: scale-free, and R and δ stay fixed."""
     point = jnp.log(jnp.array([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0]))
-    shapes = [(2,), (2,), (3 + order,), (3,), (), (HP_MAX,), (2,), ()]
+    kind: dict[str, Any] = {
+        "architecture": architecture,
+        "disturbance_order": order,
+        "designed_delay": delay,
+    }
+    shapes = [(2,), (2,), (3 + order,), (3,), (), (HP_MAX,), (2,), (), *[()] * (delay - 1)]
     weights = [np.random.default_rng(i).standard_normal(shape) for i, shape in enumerate(shapes)]
 
     def gains_at(x: jax.Array) -> Gains:
         values = dict(zip(NAMES, jnp.exp(x), strict=True))
-        return design_one(Params(**values, architecture=architecture, disturbance_order=order), T_S)[0]
+        return design_one(Params(**values, **kind), T_S)[0]
 
     scales = [max(1.0, float(jnp.max(jnp.abs(g)))) for g in jax.tree.leaves(gains_at(point))]
 

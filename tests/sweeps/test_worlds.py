@@ -172,9 +172,16 @@ def test_a_recording_that_a_full_disk_cuts_short_is_not_taken_for_whole(
 
 def test_every_key_of_controller_and_experiment_has_a_place() -> None:
     names = known_names()
-    assert {"lam", "disturbance_order", "delay", "arm.coulomb", "sensor.noise", "motion.seed", "tissue.kind"} <= {
-        *names
-    }
+    assert {
+        "lam",
+        "disturbance_order",
+        "designed_delay",
+        "delay",
+        "arm.coulomb",
+        "sensor.noise",
+        "motion.seed",
+        "tissue.kind",
+    } <= {*names}
     assert len(names) == len(set(names))
     assert all(target(name).unit for name in names)
     assert set(UNITS) <= set(names)

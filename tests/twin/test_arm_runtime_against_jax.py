@@ -103,8 +103,9 @@ def test_with_friction_compensation_preview_and_higher_order():
     assert max(torque for _, torque in found) <= TOLERANCE
 
 
-def test_a_guarded_controller_whose_force_swings():
-    gains = design(Params(guarded=True))
+@pytest.mark.parametrize("designed", [1, 2])
+def test_a_guarded_controller_whose_force_swings(designed):
+    gains = design(Params(guarded=True, designed_delay=designed))
     q, force, wanted = map(np.array, made.recorded_inputs(1000, swing=made.SWING))
     run = ArmRun(q, force, wanted[..., 0])
     answer = arm_law_trace(gains, 10.0, TABLE, run)

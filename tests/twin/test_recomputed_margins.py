@@ -25,16 +25,17 @@ def frozen(tmp_path_factory):
 
 @pytest.mark.oracle
 @pytest.mark.parametrize(
-    ("params", "experiment", "ideal"),
+    ("params", "experiment", "ideal", "delay"),
     [
-        ("cautious", "table-1-wam", False),
-        ("text", "table-1-wam", False),
-        ("text", "table-1", True),
-        ("cautious", "table-1", False),
+        ("cautious", "table-1-wam", False, 1),
+        ("text", "table-1-wam", False, 1),
+        ("text", "table-1", True, 1),
+        ("cautious", "table-1", False, 1),
+        ("cautious", "table-1", False, 2),
     ],
 )
-def test_they_are_those_of_the_design(frozen, params, experiment, ideal):
-    artifact = frozen(params, experiment, ideal)
+def test_they_are_those_of_the_design(frozen, params, experiment, ideal, delay):
+    artifact = frozen(params, experiment, ideal, designed_delay=delay)
     assert differences(artifact) == []
     for row in artifact.margins[:: max(1, len(artifact.margins) // 6)]:
         again = margins_at(artifact, row["stiffness"])
