@@ -180,12 +180,14 @@ def test_two_samples_cost_nine_operations_an_axis() -> None:
     assert operations(TWO) - operations(ONE) == 9
 
 
-@pytest.mark.parametrize("name", ["text", "cautious"])
-def test_where_there_are_two_samples_it_leaves_more_margin(name: str) -> None:
+@pytest.mark.parametrize(("name", "before", "after"), [("text", 11.95, 7.27), ("cautious", 2.96, 2.53)])
+def test_where_there_are_two_samples_it_leaves_more_margin(name: str, before: float, after: float) -> None:
+    """The peaks are those of docs/arm.md."""
     stiffness = np.geomspace(375.0, 1900.0, 33)
     one = margins(Params.published(name), stiffness, delay=2)
     two = margins(replace(Params.published(name), designed_delay=2), stiffness, delay=2)
-    assert float(np.max(two.M_s)) < 0.9 * float(np.max(one.M_s))
+    assert float(np.max(one.M_s)) == pytest.approx(before, abs=0.006)
+    assert float(np.max(two.M_s)) == pytest.approx(after, abs=0.006)
     assert float(np.min(two.delay_margin_s)) > float(np.min(one.delay_margin_s)) + 0.3e-3
 
 

@@ -17,6 +17,7 @@ from jaxmpc.engine.lanes import at_sample, packed, recorded, unpacked
 from jaxmpc.engine.pallas_triton import Shape
 from jaxmpc.engine.scan import Scan
 from jaxmpc.engine.scenario import program_spec, scenario_data
+from jaxmpc.synthesis.params import Delay
 from tests.jaxmpc.arm_tables import TABLE, changed
 
 # Steps that stretches do not divide, lanes that programs do not divide; one controller that runs away.
@@ -51,10 +52,11 @@ def check_equal(kernel: CellResults, scan: CellResults, rtol: float) -> None:
         np.testing.assert_array_equal(getattr(kernel, name), getattr(scan, name), err_msg=name)
 
 
-def test_linear_loop_is_the_scans_to_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("designed", [1, 2])
+def test_linear_loop_is_the_scans_to_rounding(designed: Delay, monkeypatch: pytest.MonkeyPatch) -> None:
     """In float64 nothing but the order of operations differs: 1e-9 of a force is far above that."""
     monkeypatch.setattr(kernel, "AXIS", Shape(4, 1))
-    params = varied(Params(), Khat_s=[900.0, 1400.0, 60.0])
+    params = varied(Params(designed_delay=designed), Khat_s=[900.0, 1400.0, 60.0])
     found, expected = (results(engine, params, LINEAR, "float64") for engine in (Kernel(), Scan()))
     assert np.isfinite(expected.over_limit[2]).any()
     assert np.isinf(expected.over_limit[:2]).all()
