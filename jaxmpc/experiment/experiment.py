@@ -12,8 +12,9 @@ from jaxmpc import described
 from jaxmpc.experiment.reference import Reference, wanted_force
 from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest, plain_name
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.quantities import AXES, HP_MAX
-from jaxmpc.synthesis.force_filter import force_filter
+from jaxmpc.synthesis.force_filter import cutoff_of, force_filter
 from jaxmpc.synthesis.timing import Timing
 from jaxmpc.world.heart.bounds import Seconds
 from jaxmpc.world.heart.motion import Motion, displacement
@@ -51,7 +52,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     """"ideal": the paper's (6). "sampled": through the velocity, sampled, filtered and delayed as on the robot,
     and always so on the arm."""
     velocity_lowpass: Annotated[float, msgspec.Meta(ge=0.0, le=1e5)] = 180.0
-    """Cut-off of the velocity filter, for sampled damping [rad/s]."""
+    """Cut-off of the velocity filter, for sampled damping, of controllers without one of their own [rad/s]."""
     sampling_time: Annotated[float, msgspec.Meta(ge=1e-5, le=0.1)] = 1e-3
     """T_s [s]."""
     delay: Annotated[int, msgspec.Meta(ge=1, le=2)] = 1
@@ -95,7 +96,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         return Timing(self.sampling_time, self.delay)
 
     def loop_path(self, ideal: bool | None = None) -> LoopPath:
-        """Delay and filters of the loop that runs, is judged and is frozen.
+        """Delay and filters of the loop that runs, is judged and is frozen, where a controller brings no own filters.
 
         Args:
             ideal: Whether the damping is ideal; None is as the experiment runs it, which on the arm is never ideal.
@@ -109,8 +110,13 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
             ideal,
             velocity_cutoff=self.velocity_lowpass,
             lowpass_hz=sensor.lowpass_hz,
-            force_filter=force_filter(sensor.kalman, sensor.noise, T_s),
+            force_filter=force_filter(self.force_cutoff, T_s, FLOATS),
         )
+
+    @property
+    def force_cutoff(self) -> float | None:
+        """Natural frequency of the Kalman filter on the measured force [rad/s]; None without one."""
+        return cutoff_of(self.sensor.kalman, self.sensor.noise, self.sampling_time)
 
     @property
     def steps(self) -> int:

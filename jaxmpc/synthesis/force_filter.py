@@ -1,24 +1,44 @@
-"""Design of the Kalman filter on the measured force: its steady gains."""
+"""Design of the Kalman filter on the measured force: its steady gains, in closed form.
 
-import numpy as np
+With κ = (ω₀ T_s)² the poles p of the predictor and 1/p solve p + 1/p = 2 ± iκ, so that
+
+    σ = κ/2 + √(κ²/4 + 4),  |p| = 2/(σ + √(κ σ)),  K_y = 1 − |p|²,  K_r = κ |p|/T_s
+
+which is the Riccati equation's answer to a rate that changes by ω₀² T_s per sample, over the measured force's noise.
+"""
+
+import math
 
 from jaxmpc.law.force_filter import ForceFilter
+from jaxmpc.law.ops import Ops
+from jaxmpc.law.scalar import Scalar
+
+LEAST_NOISE = 1e-6
+"""Noise of a sensor that has none, for which no steady filter filters [N]."""
 
 
-def force_filter(rate_change: float, noise: float, T_s: float) -> ForceFilter | None:
-    """Steady Kalman filter of a force with a slowly changing rate; None for a change of 0.
+def force_filter(cutoff: Scalar | None, T_s: Scalar, ops: Ops) -> ForceFilter | None:
+    """Steady Kalman filter of a force with a slowly changing rate; None for none.
+
+    Args:
+        cutoff: Natural frequency ω₀ of its poles, which are damped by 1/√2 where ω₀ T_s is small [rad/s].
+        T_s: Sampling time [s].
+        ops: Scalar functions.
+    """
+    if cutoff is None:
+        return None
+    kappa = cutoff * T_s * cutoff * T_s
+    sigma = 0.5 * kappa + ops.sqrt(0.25 * kappa * kappa + 4.0)
+    radius = 2.0 / (sigma + ops.sqrt(kappa * sigma))
+    return ForceFilter(T_s, 1.0 - radius * radius, kappa * radius / T_s)
+
+
+def cutoff_of(rate_change: float, noise: float, T_s: float) -> float | None:
+    """Natural frequency of the filter that an experiment's sensor asks for [rad/s]; None for a change of 0.
 
     Args:
         rate_change: Standard deviation of the rate's change per sample [N/s].
         noise: Standard deviation of the measured force [N].
         T_s: Sampling time [s].
     """
-    from scipy.linalg import solve_discrete_are
-
-    if not rate_change:
-        return None
-    A, C = np.array([[1.0, T_s], [0.0, 1.0]]), np.array([[1.0, 0.0]])
-    R = max(noise, 1e-6) ** 2
-    P = solve_discrete_are(A.T, C.T, np.diag([0.0, rate_change**2]), np.array([[R]]))
-    force_gain, rate_gain = (P @ C.T / (C @ P @ C.T + R)).ravel().tolist()
-    return ForceFilter(T_s, force_gain, rate_gain)
+    return math.sqrt(rate_change / (max(noise, LEAST_NOISE) * T_s)) if rate_change else None

@@ -16,7 +16,7 @@ from jaxmpc.experiment.build import robot_of
 from jaxmpc.experiment.tables import ArmSettings
 from jaxmpc.law import cascade
 from jaxmpc.law.gains import Gains
-from jaxmpc.synthesis.force_filter import force_filter
+from jaxmpc.synthesis.force_filter import cutoff_of, force_filter
 from jaxmpc.world import robot as world
 from jaxmpc.world.arm import chain, model, tip_at
 from jaxmpc.world.joint_acceleration import accelerate
@@ -216,7 +216,7 @@ def test_gains_of_the_force_filter(rate_change, noise):
     for _ in range(20_000):
         K = P @ C.T / (C @ P @ C.T + noise**2)
         P = A @ (P - K @ C @ P) @ A.T + Q
-    found = force_filter(rate_change, noise, 1e-3)[1:]
+    found = force_filter(cutoff_of(rate_change, noise, 1e-3), 1e-3, FLOATS)[1:]
     np.testing.assert_allclose(found, K[:, 0], rtol=1e-8)
     predicting = control.dlqe(A, np.eye(2), C, Q, [[noise**2]])[0]
     np.testing.assert_allclose(A @ np.array(found), np.asarray(predicting)[:, 0], rtol=1e-8)
@@ -233,7 +233,7 @@ def readings(kind, of, heart_at, count):
 
 def test_the_force_filter_is_the_kalman_filter():
     """A falling force, against the filter written as matrices."""
-    constants, t = force_filter(20.0, 0.01, 1e-3), np.arange(200) * 1e-3
+    constants, t = force_filter(cutoff_of(20.0, 0.01, 1e-3), 1e-3, FLOATS), np.arange(200) * 1e-3
     gains = Gains((0.0,) * 2, (0.0,) * 2, (0.0,) * 4, (0.0,) * 3, 0.0, (0.0,), (0.0,) * 2, 0.0, force_filter=constants)
     state, K, x = cascade.init(gains), np.array(constants[1:]), np.zeros(2)
     for force in 8.1 * t + 0.81 * t**2:
