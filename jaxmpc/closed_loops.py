@@ -23,6 +23,8 @@ from jaxmpc.status import Status
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.loop_path import LoopPath
+from jaxmpc.world.robot import with_cutoff
+from jaxmpc.xla import ops
 from jaxmpc.xla.rows import reshaped
 
 
@@ -37,6 +39,9 @@ class ClosedLoops(NamedTuple):
     """A `Contact`, (controllers, stiffness); the arm, which makes its own, needs None to run."""
     residual: Any
     """Residual of the Riccati equation, (controllers,) [-]."""
+    velocity_cutoff: Any = None
+    """Low-pass of the velocity that each controller brings, (controllers,) [rad/s]; None is the world's. The contacts
+    have it already."""
 
 
 class Outcome(NamedTuple):
@@ -73,7 +78,8 @@ def close_loops(params: Params, stiffness: Any, path: LoopPath, width: Any = 1.0
         width: Softness of the horizons [samples].
     """
     gains, residual = jax.vmap(lambda one: design_one(one, path.T_s, width, path.force_filter))(params)
-    return ClosedLoops(gains, params.K2, contacts_of(params.K2, stiffness, path), residual)
+    cutoff = params.velocity_cutoff
+    return ClosedLoops(gains, params.K2, contacts_of(params.K2, stiffness, path.with_cutoff(cutoff)), residual, cutoff)
 
 
 def margins_of(loops: ClosedLoops, *, ideal: bool) -> Margins:
@@ -86,6 +92,9 @@ def run_loops(
     loops: ClosedLoops, scene: ScenarioData, *, world: ProgramSpec, dtype: Any, traced: bool = False
 ) -> CellResults:
     """Every controller on every tissue, axis and motion; traceable."""
+    if scene.robot is not None and loops.velocity_cutoff is not None:
+        # Behind the dimensions of motions and tissues, over which the robot's constants may differ.
+        scene = scene._replace(robot=with_cutoff(scene.robot, loops.velocity_cutoff[None, None], ops))
     return choose(world).simulate(world, loops.gains, loops.K2, loops.contacts, scene, dtype, traced)
 
 

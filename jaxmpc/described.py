@@ -50,7 +50,7 @@ def parameters(params: Any) -> tuple[str, list[Line]]:
     title += ", guarded" if params.guarded else ""
     title += f", {len(params.knots)} knots" if params.knots else ""
     title += f", a batch {batch}" if batch else ""
-    return title, _lines(PARAMETERS, params)
+    return title, _lines({name: PARAMETERS[name] for name in params.numbers}, params)
 
 
 def margins(found: Any) -> tuple[str, list[Line]]:

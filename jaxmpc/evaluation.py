@@ -71,7 +71,9 @@ def evaluate(
     flat = reshaped(params, len(batch), -1)
     scene, world = scenario_data(experiment, swinging=True), program_spec(experiment)
     gains, residual = designed(flat, scene.path.T_s, scene.path.force_filter)
-    loops = ClosedLoops(gains, flat.K2, contacts_between(flat.K2, scene.stiffness, scene.path), residual)
+    cutoff = flat.velocity_cutoff
+    contacts = contacts_between(flat.K2, scene.stiffness, scene.path.with_cutoff(cutoff))
+    loops = ClosedLoops(gains, flat.K2, contacts, residual, cutoff)
 
     def judge() -> Margins:
         # A thread has a precision of its own.

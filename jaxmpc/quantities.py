@@ -132,14 +132,7 @@ METRICS = _table(
     Metric("peak_to_peak", "N", "residual force, peak to peak", "pp", "ceiling", "pp", "mN", 1e3, 1, crest=6.0),
     Metric("true_rms", "N", "true residual, root mean square", "true RMS", "ceiling", "true RMS", "mN", 1e3, 1, True),
     Metric(
-        "true_peak_to_peak",
-        "N",
-        "true residual, largest span",
-        "true pp",
-        head="true pp",
-        shown_unit="mN",
-        times=1e3,
-        digits=1,
+        *("true_peak_to_peak", "N", "true residual, largest span", "true pp", "ceiling", "true pp", "mN", 1e3, 1),
         crest=6.0,
         follows="true_rms",
     ),
@@ -148,12 +141,7 @@ METRICS = _table(
     Metric("peak_force", "N", "largest force over the whole run", "$|y|$", head="peak force"),
     Metric("peak_error", "N", "largest residual force", "$|e|$", "ceiling", "peak error", "mN", 1e3, 1, crest=3.0),
     Metric(
-        "clamped",
-        "-",
-        "share of samples at which a torque limit acted",
-        "clamped",
-        head="clamped",
-        shown_unit="%",
+        *("clamped", "-", "share of samples at which a torque limit acted", "clamped", "ceiling", "clamped", "%"),
         times=100.0,
         follows="chatter",
     ),
@@ -161,10 +149,7 @@ METRICS = _table(
         "joint_torque", "N m", "largest torque wanted of a joint", r"$|\tau|$", head="joint torque", follows="chatter"
     ),
     Metric(
-        "torque_step",
-        "N m",
-        "largest change of it per sample",
-        r"$|\Delta\tau|$",
+        *("torque_step", "N m", "largest change of it per sample", r"$|\Delta\tau|$"),
         head="torque step",
         follows="chatter",
     ),
@@ -183,14 +168,16 @@ MARGINS = _table(
 """Fields of `jaxmpc.stability.Margins`, but for the status."""
 HIGHEST_M_S = 2.0
 """Held by the tuner and promised by a frozen controller unless told otherwise [-]."""
+_CUTOFF: SearchRange = (30.0, 3e3, 1.0)
 
 
 def _array(value: Any) -> Any:
-    """Numbers become float64 arrays; what is an array already, traced or not, stays as it is."""
-    return value if hasattr(value, "dtype") and not np.isscalar(value) else np.asarray(value, np.float64)
+    """Numbers become float64 arrays; what is an array already, traced or not, and what is left open stay so."""
+    kept = value is None or (hasattr(value, "dtype") and not np.isscalar(value))
+    return value if kept else np.asarray(value, np.float64)
 
 
-def _number(default: float, unit: str, text: str, symbol: str, **row: Any) -> Any:
+def _number(default: float | None, unit: str, text: str, symbol: str, **row: Any) -> Any:
     """A field with its row, whose name is the field's; equinox calls the converter."""
     return field(default=default, metadata={"converter": _array, "row": Parameter("", unit, text, symbol, **row)})
 
@@ -199,7 +186,7 @@ def _number(default: float, unit: str, text: str, symbol: str, **row: Any) -> An
 class ParameterValues:
     """Numbers of `jaxmpc.Params` with the text design's values; each with its row of `PARAMETERS`.
 
-    δ and R only set the scales of λ and Q, so that a search leaves them alone.
+    δ and R only set the scales of λ and Q, so that a search leaves them alone; the filters stay the experiment's.
     """
 
     lam: Any = _number(
@@ -242,9 +229,19 @@ class ParameterValues:
         *(5.0, "samples", "control horizon", "$H_u$"), bounds=(1, HU_MAX), search=(1.0, HU_MAX, 3.0), whole=True
     )
     """Control horizon [samples]."""
+    velocity_cutoff: Any = _number(
+        *(None, "rad/s", "cut-off of the velocity filter", r"$\omega_v$"), bounds=(1.0, 1e5), search=_CUTOFF, free=False
+    )
+    """Cut-off of the low-pass on the measured velocity [rad/s]; None is the experiment's, `velocity_lowpass`."""
+    force_cutoff: Any = _number(
+        *(None, "rad/s", "cut-off of the force filter", r"$\omega_y$"), bounds=(1.0, 1e4), search=_CUTOFF, free=False
+    )
+    """Natural frequency of the Kalman filter on the measured force [rad/s]; None is the experiment's, if it has one."""
 
 
 PARAMETERS: Mapping[str, Parameter] = _table(
     *(replace(each.metadata["row"], name=each.name) for each in fields(ParameterValues))
 )
 HORIZONS = tuple(name for name, row in PARAMETERS.items() if row.whole)
+FILTERS = ("velocity_cutoff", "force_cutoff")
+"""Those that an experiment has too: a controller's own take the place of the experiment's."""

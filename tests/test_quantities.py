@@ -13,7 +13,7 @@ from jaxmpc.cli.freeze import FLOOR_FLAGS, configure
 from jaxmpc.closed_loops import Outcome
 from jaxmpc.files.errors import InputError
 from jaxmpc.metrics import Metrics
-from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Quantity
+from jaxmpc.quantities import FILTERS, MARGINS, METRICS, PARAMETERS, Quantity
 from jaxmpc.stability import Margins
 from jaxmpc.synthesis.params import STRUCTURE
 from jaxmpc.terminal.tables import RESIDUAL_HEADER, metric_rows, residual_rows
@@ -50,7 +50,8 @@ def test_parameters_can_be_searched_and_swept() -> None:
         (low, high), (least, most, scale) = row.bounds, row.search
         assert low <= least < most <= high
         assert scale > 0.0
-        assert least <= float(getattr(base, name)) <= most
+        assert (name in FILTERS) == (name not in base.numbers)
+        assert least <= float(base.numbers.get(name, least)) <= most
         assert (name in FREE) == row.free
         assert axis_of(name, None, diagonal=bool(row.entries)).length == row.entries
         swept = [value for value in (least, most) if name != "Hu" or value <= float(base.Hp)]

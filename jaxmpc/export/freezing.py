@@ -80,7 +80,8 @@ def freeze_controller(
         remedy = "Freeze it with an experiment on the arm, such as family-wam."
         raise InputError("knots", f"{len(params.knots)} of them", "none where no arm is driven", remedy)
     arm = nominal_arm(experiment, limits) if on_arm else None
-    loop = experiment.loop_path(ideal)
+    own_cutoff = None if params.velocity_cutoff is None else float(params.velocity_cutoff)
+    loop = experiment.loop_path(ideal).with_cutoff(own_cutoff)
     # Compiling is most of both, and goes on side by side.
     with Beside(1) as beside:
         pending = None if params.listening is None else beside.submit(_family, params, loop)
@@ -94,7 +95,7 @@ def freeze_controller(
         force, wanted = (_cut(experiment, signal) for signal in simulated_run(params, experiment))
         v = law_trace(gains, force, wanted, experiment.reference.preview)
     else:
-        force, wanted, v = _arm_trace(params, experiment, gains, arm, run)
+        force, wanted, v = _arm_trace(params, experiment, gains, loop.velocity_cutoff, arm, run)
     provenance = {
         "jaxmpc": __version__,
         "experiment": experiment.name,
@@ -175,7 +176,12 @@ def _limits(tip: Sequence[float], path: Path | None) -> dict[str, Any]:
 
 
 def _arm_trace(
-    params: Params, experiment: Experiment, gains: Gains, arm: dict[str, Any], run: ArmRun | None
+    params: Params,
+    experiment: Experiment,
+    gains: Gains,
+    velocity_cutoff: float,
+    arm: dict[str, Any],
+    run: ArmRun | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force, wanted force and commands of the golden trace; its angles and torques go to the arm's table."""
     if run is None:
@@ -189,7 +195,7 @@ def _arm_trace(
         hertz, size = (SWING_HZ, SWING) if gains.schedule is None else (QUICKER_HZ, LESS)
         swung[-GOLDEN_SAMPLES:] += _swing(gains.guard, T_s, hertz, size, min(GOLDEN_SAMPLES, len(swung)))
         run = run._replace(force=swung)
-    answer = arm_law_trace(gains, float(params.K2), experiment, run)
+    answer = arm_law_trace(gains, float(params.K2), experiment, run, velocity_cutoff)
     arm |= {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
     return run.force, run.force_ref, answer.v
 

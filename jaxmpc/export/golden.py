@@ -16,11 +16,13 @@ from jaxmpc.experiment.build import robot_of
 from jaxmpc.law import cascade, entry, force_control, torque_limits
 from jaxmpc.law.force_control import Controller
 from jaxmpc.law.gains import Gains
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.arm import chain
 from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.drive import read as drive_read
+from jaxmpc.world.robot import with_cutoff
 from jaxmpc.xla import ops
 from jaxmpc.xla.cse import sharing
 from jaxmpc.xla.once import JitOnce
@@ -123,7 +125,9 @@ def law_trace(gains: Gains, force: np.ndarray, force_ref: np.ndarray, preview: b
 
 
 @in_float64
-def arm_law_trace(gains: Gains, K2: float, experiment: Experiment, run: ArmRun) -> ArmAnswer:
+def arm_law_trace(
+    gains: Gains, K2: float, experiment: Experiment, run: ArmRun, velocity_cutoff: float | None = None
+) -> ArmAnswer:
     """Answers of the JAX-traced law of the whole tick to a recorded run, entered in contact at its first sample.
 
     So that the trace tells what the observers are told, the limits are so tight that they act now and then.
@@ -133,9 +137,10 @@ def arm_law_trace(gains: Gains, K2: float, experiment: Experiment, run: ArmRun) 
         K2: Damping [1/s].
         experiment: Its arm is the controller's nominal one.
         run: What was read.
+        velocity_cutoff: Low-pass of the velocity [rad/s]; None is the experiment's.
     """
     preview, compensated = experiment.reference.preview, experiment.arm.compensation > 0.0
-    robot = robot_of(experiment)
+    robot = with_cutoff(robot_of(experiment), velocity_cutoff, FLOATS)
     apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
     bandwidth = experiment.arm.momentum_observer or None
     controller = Controller(chain(), robot.nominal, robot.posture, apart, K2, robot.measurement, bandwidth)

@@ -32,6 +32,13 @@ def lowpass_pole(cutoff: Scalar, T_s: Scalar, ops: Ops) -> Scalar:
     return ops.where(cutoff > 0.0, ops.exp(-cutoff * T_s), 0.0)
 
 
+def with_cutoff(constants: Measurement, cutoff: Scalar | None, ops: Ops) -> Measurement:
+    """The same behind a controller's own low-pass [rad/s]; None leaves it as it is."""
+    if cutoff is None:
+        return constants
+    return constants._replace(velocity_pole=lowpass_pole(cutoff, constants.T_s, ops))
+
+
 def init(angle: Vector) -> MeasurementState:
     """Joints at rest at measured angles [rad]."""
     return MeasurementState(angle, tuple(0.0 * joint for joint in angle))

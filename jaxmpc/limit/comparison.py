@@ -86,7 +86,7 @@ def left_by(
         nan = float("nan")
         return Judged(nan, nan, nan, nan, nan, nan, M_s)
     gains, K2 = jax.tree.map(lambda leaf: leaf[0], gains_on(params, [stiffness], path))
-    contact = contact_of(stiffness, K2, path)
+    contact = contact_of(stiffness, K2, path.with_cutoff(params.velocity_cutoff))
     return judged(
         lambda theta: controller_response(gains, jnp.exp(-1j * theta)), contact, spectrum, AXES.index(axis), M_s
     )

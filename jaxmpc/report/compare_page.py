@@ -52,10 +52,13 @@ def report_of(found: Comparison) -> Report:
 def _rows(found: Comparison) -> Candidates:
     """The contenders as rows that can be explored."""
     contenders = found.contenders
+    given = [one.params.numbers for one in contenders]
     numbers = {
-        name: np.array([np.mean(np.asarray(getattr(one.params, name))) for one in contenders]) for name in PARAMETERS
+        name: np.array([np.mean(np.asarray(values.get(name, np.nan))) for values in given])
+        for name in PARAMETERS
+        if any(name in values for values in given)
     }
-    measures = [measure(row, numbers[name]) for name, row in PARAMETERS.items()]
+    measures = [measure(PARAMETERS[name], values) for name, values in numbers.items()]
     for name, metric in METRICS.items():
         values = np.stack([np.asarray(getattr(one.metrics, name)) for one in found.outcomes])
         if np.isfinite(values).any():

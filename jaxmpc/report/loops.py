@@ -70,7 +70,8 @@ def curves(params: Params, experiment: Experiment, ideal: bool) -> Curves:
     for i, K_s in enumerate(experiment.stiffness):
         # Of plain arrays the closed forms are plain arithmetic, so next to nothing is compiled.
         gains, K2 = jax.tree.map(lambda leaf, i=i: leaf[i], controllers)
-        judged, met = (_world(K_s, K2, experiment.loop_path(kind)) for kind in (ideal, None))
+        paths = (experiment.loop_path(kind).with_cutoff(params.velocity_cutoff) for kind in (ideal, None))
+        judged, met = (_world(K_s, K2, path) for path in paths)
         cuts = [np.asarray(loop_response(gains, judged, theta, cut))[0] for cut in ((0.0,) if ideal else (0.0, 1.0))]
         loops.append(min(cuts, key=lambda loop: np.abs(1.0 + loop).min()))
         forces.append(step_response(gains, met)[0])

@@ -166,7 +166,7 @@ def margins(
             low-passed at 500 Hz), cut at v and at a, the worse counts. True: the paper's (6), ideal
             damping, cut at v.
         path: Delay, sampling and filters of another loop, instead of `delay` and `ideal`: that of an experiment is
-            `Experiment.loop_path`.
+            `Experiment.loop_path`. Filters that the parameters have take the place of its own.
 
     Returns:
         Margins, each of the batch's shape followed by that of `stiffness`.
@@ -179,9 +179,9 @@ def margins(
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
     if path is None:
         path = loop_path(delay=delay, ideal=ideal)
-    gains, residual = designed(reshaped(params, len(params.batch_shape), -1), path.T_s, path.force_filter)
-    contacts = contacts_between(
-        reshaped(params.K2, len(params.batch_shape), -1), reshaped(values, values.ndim, -1), path
-    )
+    flat = reshaped(params, len(params.batch_shape), -1)
+    gains, residual = designed(flat, path.T_s, path.force_filter)
+    path = path.with_cutoff(flat.velocity_cutoff)
+    contacts = contacts_between(flat.K2, reshaped(values, values.ndim, -1), path)
     found = margins_of_cells(cells_of(gains, contacts, residual), ideal=path.ideal)
     return reshaped(found, 1, *params.batch_shape, *values.shape)

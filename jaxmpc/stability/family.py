@@ -130,5 +130,5 @@ def family_margins(
         raise InputError("params", "a batch, or without knots", "one controller with knots", "Take one with knots.")
     known, band = jnp.asarray(stiffness, float), jnp.asarray(ratios, float)
     gains, residual = designed(reshaped(params, 0, 1), path.T_s, path.force_filter)
-    cells = _cells(gains, params.K2, residual, known, band, path)
+    cells = _cells(gains, params.K2, residual, known, band, path.with_cutoff(params.velocity_cutoff))
     return reshaped(margins_of_cells(cells, ideal=path.ideal), 1, len(known), len(band))

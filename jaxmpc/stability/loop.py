@@ -50,8 +50,14 @@ def contact_of(stiffness: Any, K2: Any, path: LoopPath) -> Contact:
 def contacts_of(K2: Any, stiffness: Any, path: LoopPath) -> Contact:
     """Contacts of controllers with tissues, (controllers, stiffness)."""
     over_tissues = jax.vmap(contact_of, in_axes=(0, None, None))
-    found: Contact = jax.vmap(over_tissues, in_axes=(None, 0, None))(stiffness, K2, path)
+    found: Contact = jax.vmap(over_tissues, in_axes=(None, 0, each_its_own(path)))(stiffness, K2, path)
     return found
+
+
+def each_its_own(path: LoopPath) -> LoopPath:
+    """Dimensions of a path to be mapped over controllers: 0 where each has a number of its own, else None."""
+    axes: LoopPath = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, path)
+    return axes
 
 
 contacts_between = JitOnce(contacts_of)

@@ -82,6 +82,7 @@ def presliding_peak(
 
 def _over_cells(params: Params, stiffness: Any, frequencies: Any, path: LoopPath) -> Float[Array, " tissues"]:
     gains, _ = design_one(params, path.T_s, 1.0, path.force_filter)
+    path = path.with_cutoff(params.velocity_cutoff)
 
     def mode(K_s: Any, omega: Any) -> Any:
         return margins_one(gains, on_spring(contact_of(K_s, params.K2, path), omega), ideal=False).M_s

@@ -27,8 +27,9 @@ from jaxmpc.stability.loop import transition_matrix
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import arm, friction
+from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.joint_acceleration import accelerate
-from jaxmpc.world.robot import HeartSample, Robot, RobotStructure
+from jaxmpc.world.robot import HeartSample, Robot, RobotStructure, with_cutoff
 from jaxmpc.xla import ops
 from jaxmpc.xla.blocks import padded
 from jaxmpc.xla.once import JitOnce
@@ -139,7 +140,8 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
     for program in dict.fromkeys(programs):
         kind, T_s, force_filter = program
         mine = [i for i, each in enumerate(programs) if each == program]
-        matrices = _matrices(params, robots_of([experiments[i] for i in mine]), T_s, force_filter, kind)
+        robots = with_cutoff(robots_of([experiments[i] for i in mine]), params.velocity_cutoff, ARRAYS)
+        matrices = _matrices(params, robots, T_s, force_filter, kind)
         found[mine] = radii(np.asarray(matrices)) > 1.0 + ROUNDING
     return found
 

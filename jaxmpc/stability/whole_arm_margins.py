@@ -26,6 +26,8 @@ from jaxmpc.stability.whole_arm import ROUNDING, System, whole_arm_system
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world import arm
+from jaxmpc.world.robot import with_cutoff
+from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 
@@ -63,7 +65,8 @@ def whole_arm_margins(params: Params, experiment: Experiment, sticking: bool = F
     """
     if params.batch_shape:
         raise InputError("params", f"a batch {params.batch_shape}", "one controller", "Ask for one after another.")
-    robot, kind = robot_on_its_tissue(experiment), structure_of(experiment.arm, experiment.tissue)
+    robot = with_cutoff(robot_on_its_tissue(experiment), params.velocity_cutoff, ops)
+    kind = structure_of(experiment.arm, experiment.tissue)
     force_filter = experiment.loop_path().force_filter
     T_s = experiment.sampling_time
     found: WholeArmMargins = _margins(_system(params, robot, T_s, force_filter, kind=kind, sticking=sticking), T_s)

@@ -16,6 +16,7 @@ from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.gains import Gains, GainSchedule, Knot, with_gain
 from jaxmpc.quantities import HP_MAX, HU_MAX
 from jaxmpc.synthesis.feedback import state_feedback
+from jaxmpc.synthesis.force_filter import force_filter as kalman_filter
 from jaxmpc.synthesis.kalman import active_observer_gain, input_noise_gain
 from jaxmpc.synthesis.mpc import first_move
 from jaxmpc.synthesis.params import Params
@@ -36,8 +37,11 @@ def design_one(
         params: One controller, scalars or diagonals of arrays.
         T_s: Sampling time [s].
         mask_width: Softness of the horizons, 1 is exact [samples].
-        force_filter: What the measured force passes first; the design does not know of it.
+        force_filter: What the measured force passes first, unless the controller brings a filter of its own; the
+            design of all else knows of neither.
     """
+    if params.force_cutoff is not None:
+        force_filter = kalman_filter(jnp.asarray(params.force_cutoff), jnp.asarray(T_s), ops)
     if params.listening is not None:
         fixed = replace(params, knots=(), listening=None)
         gains, residual = design_one(fixed, T_s, mask_width, force_filter)
@@ -133,7 +137,7 @@ def designed(
     Args:
         params: The controllers.
         T_s: Sampling time [s].
-        force_filter: What the measured force passes first.
+        force_filter: What the measured force passes first, as for `design_one`.
     """
     arguments = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (params, T_s, force_filter))
     found: tuple[Gains, Any] = _design(*arguments)
@@ -150,8 +154,8 @@ def design(params: Params, timing: Timing | None = None, force_filter: ForceFilt
     Args:
         params: The parameters; leading dimensions are a batch.
         timing: Sampling; which delay the design assumes is a parameter, `designed_delay`.
-        force_filter: What the measured force passes first (`Experiment.loop_path().force_filter`); none by
-            default.
+        force_filter: What the measured force passes first (`Experiment.loop_path().force_filter`), unless the
+            parameters say it; none by default.
 
     Returns:
         L (…, 3), K (…, 3 + N), mpc_ref (…, 64), mpc_x (…, 2), mpc_u (…), … in float64; see `Gains`.

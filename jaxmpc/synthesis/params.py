@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmpc import described
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.quantities import HORIZONS, PARAMETERS, ParameterValues
+from jaxmpc.quantities import FILTERS, HORIZONS, PARAMETERS, ParameterValues
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.published import SETS
 from jaxmpc.synthesis.values import check_values, from_plain, rows_of, tables
@@ -71,7 +71,7 @@ class Params(eqx.Module, ParameterValues):
             remedy = "MPC alone has no model of the tissue to scale: leave it out."
             raise InputError("guarded", self.guarded, 'false with the architecture "mpc"', remedy)
         self._check_knots()
-        values = {name: getattr(self, name) for name in PARAMETERS}
+        values = self.numbers
         if all(isinstance(value, np.ndarray) for value in values.values()):
             check_values(values, {each.name: each.default for each in fields(self)})
 
@@ -85,12 +85,21 @@ class Params(eqx.Module, ParameterValues):
             if knot.knots or knot.guarded or not same:
                 remedy = f"Leave {', '.join(SHARED)} and guarded to the table above it."
                 raise InputError("knots", "of another structure", "of the structure of [params]", remedy)
+            if own := [name for name in FILTERS if getattr(knot, name) is not None]:
+                remedy = "A signal is filtered before the tissue is known: put it under [params]."
+                raise InputError(f"knots.{own[0]}", getattr(knot, own[0]), "left out of knots", remedy)
 
     def __repr__(self) -> str:
         return described.as_text(*described.parameters(self))
 
     def _repr_html_(self) -> str:
         return described.as_html(*described.parameters(self))
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """Its parameters by their names, but for filters that are the experiment's."""
+        values = {name: getattr(self, name) for name in PARAMETERS}
+        return {name: value for name, value in values.items() if value is not None}
 
     @property
     def structure(self) -> dict[str, Any]:
@@ -164,7 +173,7 @@ class Params(eqx.Module, ParameterValues):
         """Plain values of one controller, as `from_dict` takes them."""
         if self.batch_shape:
             raise InputError("params", f"a batch {self.batch_shape}", "one controller", "Take one with `params[i]`.")
-        values = {name: np.asarray(getattr(self, name)).tolist() for name in PARAMETERS}
+        values = {name: np.asarray(value).tolist() for name, value in self.numbers.items()}
         whole = {name: int(values[name]) for name in HORIZONS if values[name] == int(values[name])}
         found = {**self.structure, **values, **whole}
         if self.designed_delay == 1:  # as in the paper: goes without saying
@@ -181,7 +190,7 @@ class Params(eqx.Module, ParameterValues):
         """One batch of several controllers of the same structure; scalars beside diagonals are widened.
 
         Raises:
-            InputError: The batch is empty, or mixes architectures or disturbance orders.
+            InputError: The batch is empty, or mixes architectures, disturbance orders, or own filters with none.
         """
         for name in STRUCTURE:
             found = sorted({str(getattr(p, name)) for p in batch})
@@ -191,6 +200,10 @@ class Params(eqx.Module, ParameterValues):
         columns = {}
         for name in PARAMETERS:
             leaves = [getattr(p, name) for p in batch]
+            if all(leaf is None for leaf in leaves):
+                continue
+            if any(leaf is None for leaf in leaves):
+                raise InputError(name, "given for some", "given for all or none", "Evaluate the others by themselves.")
             traced = any(isinstance(leaf, jax.Array) for leaf in leaves)
             shape = np.broadcast_shapes(*(leaf.shape for leaf in leaves))
             xp: Any = jnp if traced else np
@@ -209,8 +222,9 @@ class Params(eqx.Module, ParameterValues):
                 and the first such value.
         """
         rows = rows_of(columns)
-        base = {name: getattr(self, name) for name in PARAMETERS}
-        wide: dict[str, Any] = {name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in base.items()}
+        wide: dict[str, Any] = {
+            name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in self.numbers.items()
+        }
         given = {name: np.asarray(value, np.float64) for name, value in columns.items()}
         knots = tuple(
             knot.with_columns({"lam": np.broadcast_to(knot.lam, (rows, *knot.lam.shape))}) for knot in self.knots
@@ -227,5 +241,5 @@ def by_structure(controllers: Sequence[Params]) -> list[list[int]]:
     """Which controllers can be a batch, as their numbers."""
     alike: dict[str, list[int]] = {}
     for i, params in enumerate(controllers):
-        alike.setdefault(repr((params.structure, len(params.knots))), []).append(i)
+        alike.setdefault(repr((params.structure, len(params.knots), list(params.numbers))), []).append(i)
     return list(alike.values())

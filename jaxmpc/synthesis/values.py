@@ -68,7 +68,8 @@ def check_values(values: Mapping[str, np.ndarray], typical: Mapping[str, Any]) -
         unit, (low, high) = PARAMETERS[name].unit, PARAMETERS[name].bounds
         wrong = ~(np.isfinite(value) & (value >= low) & (value <= high))
         if wrong.any():
-            remedy = f"Correct {name}; a typical value is {typical[name]} {unit}."
+            usual = float(np.sqrt(np.prod(PARAMETERS[name].search[:2]))) if typical[name] is None else typical[name]
+            remedy = f"Correct {name}; a typical value is {usual} {unit}."
             raise InputError(name, value[wrong].flat[0], f"in [{low:g}, {high:g}] {unit}", remedy)
     for name in HORIZONS:
         fractional = values[name] != np.floor(values[name])

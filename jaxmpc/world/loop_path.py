@@ -3,6 +3,7 @@
 Whoever judges, tunes, simulates or freezes a loop takes it from here, so that all of them mean the same one.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -34,6 +35,13 @@ class LoopPath(eqx.Module):
     sensor_cutoff: Any
     ideal: bool = eqx.field(static=True)
     force_filter: ForceFilter | None = None
+
+    def with_cutoff(self, velocity_cutoff: Any) -> "LoopPath":
+        """The same behind a controller's own low-pass of the velocity, one or one for each of a batch [rad/s].
+
+        None leaves it as it is.
+        """
+        return self if velocity_cutoff is None else replace(self, velocity_cutoff=velocity_cutoff)
 
 
 def loop_path(

@@ -13,6 +13,7 @@ tied to the links by a spring and a damper per joint; the encoders then see the 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from jaxmpc.law import measurement
 from jaxmpc.law.chain import Chain, inverse_dynamics, pose, with_point_mass
 from jaxmpc.law.chain import tip as chain_tip
 from jaxmpc.law.computed_torque import Nominal
@@ -107,6 +108,11 @@ class RobotState(NamedTuple):
     sensor: SensorState
     pending: tuple[Vector, Vector]
     """Torques of the last two samples, newest first [N m]."""
+
+
+def with_cutoff(robot: Robot, cutoff: Scalar | None, ops: Ops) -> Robot:
+    """The same under a controller with its own low-pass of the velocity [rad/s]; None leaves it as it is."""
+    return robot._replace(measurement=measurement.with_cutoff(robot.measurement, cutoff, ops))
 
 
 def init(chain: Chain, kind: RobotStructure, robot: Robot, like: Scalar, ops: Ops) -> RobotState:

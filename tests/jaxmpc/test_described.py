@@ -20,6 +20,7 @@ def shown() -> dict[str, str]:
     batch = Params.stack([Params()] * 9)
     held = {
         "params": Params(),
+        "filters": Params(velocity_cutoff=180.0, force_cutoff=900.0),
         "batch": batch,
         "family": Params.published("family"),
         "margins": margins(Params(), 810.0),
@@ -39,7 +40,7 @@ def test_lines_fit_and_units_stand_beside_values(shown: dict[str, str]) -> None:
     assert "status" in shown["margins"]
     assert "OK" in shown["outcome"]
     for table, names in (
-        (PARAMETERS, ["params"]),
+        (PARAMETERS, ["filters"]),
         (MARGINS, ["margins", "many", "outcome"]),
         (METRICS, ["metrics", "outcome"]),
     ):

@@ -179,7 +179,7 @@ class SearchSpace:
 
 def _moved(params: Params, values: dict[str, Any], width: Any) -> Params:
     """One controller with some parameters replaced, its horizons whole where the width is 1."""
-    found: dict[str, Any] = {name: jnp.asarray(getattr(params, name), jnp.float64) for name in PARAMETERS} | values
+    found: dict[str, Any] = {name: jnp.asarray(value, jnp.float64) for name, value in params.numbers.items()} | values
     whole = {name: jnp.round(found[name]) for name in HORIZONS}
     whole["Hu"] = jnp.minimum(whole["Hu"], whole["Hp"])
     found |= {name: jnp.where(width > 1.0, found[name], whole[name]) for name in HORIZONS}

@@ -21,7 +21,7 @@ from jaxmpc.spectra.spectrum import Spectrum
 from jaxmpc.spectra.true_force import swing_rms, true_rms
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.family import held
-from jaxmpc.stability.loop import contact_of, contacts_of
+from jaxmpc.stability.loop import contact_of, contacts_of, each_its_own
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath
@@ -77,7 +77,7 @@ class Data(NamedTuple):
 def judged_margins(loops: ClosedLoops, data: Data) -> Margins:
     """Margins of the loops that are judged, (starts, cells), as `jaxmpc.margins` defines them; traceable."""
     if data.believed is None:
-        contacts = contacts_of(loops.K2, data.judged_at, data.judged)
+        contacts = contacts_of(loops.K2, data.judged_at, data.judged.with_cutoff(loops.velocity_cutoff))
         return margins_of(loops._replace(contacts=contacts), ideal=data.judged.ideal)
     gains, contacts = known(loops, data.judged_at, data.believed, data.judged)
     residual = jnp.broadcast_to(loops.residual[:, None], contacts.stiffness.shape)
@@ -96,11 +96,12 @@ def known(loops: ClosedLoops, stiffness: Any, believed: Any, path: LoopPath) -> 
         loops: The families.
         stiffness: K_s, (cells,) [N/m].
         believed: K̂, likewise; NaN is not known.
-        path: Delay and filters.
+        path: Delay and filters, where they bring none of their own.
     """
     gains, K2 = jax.vmap(held, in_axes=(0, 0, None))(loops.gains, loops.K2, believed)
+    path = path.with_cutoff(loops.velocity_cutoff)
     over_cells = jax.vmap(contact_of, in_axes=(0, 0, None))
-    return gains, jax.vmap(over_cells, in_axes=(None, 0, None))(stiffness, K2, path)
+    return gains, jax.vmap(over_cells, in_axes=(None, 0, each_its_own(path)))(stiffness, K2, path)
 
 
 def cells_of(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> Metrics:

@@ -44,7 +44,8 @@ def split(result: TuneResult) -> Split:
     for params, seen in ((spec.before, spec.met_before(met)), (result.params, met)):
         spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, seen))
         gains, K2 = gains_on(params, stiffness, path)
-        whole, parts = _parts(gains, K2, stiffness, spectra, path)
+        own = path.with_cutoff(params.velocity_cutoff)
+        whole, parts = _parts(gains, K2, stiffness, spectra, own)
         found.append([np.sqrt(np.mean(np.square(field), axis=1)) for field in (whole, *parts)])
     stable = result.stable(path.ideal)[..., None]
     return Split(*(np.where(stable, np.stack(pair), np.nan) for pair in zip(*found, strict=True)))

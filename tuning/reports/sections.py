@@ -1,6 +1,7 @@
 """What a report of a tuning run says, as titles, sentences and tables; `text` and `page` only say how it looks."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -78,9 +79,9 @@ def _parameters(result: TuneResult) -> Section:
     bounds = {axis.name: f"{axis.low:g} … {axis.high:g}" for axis in spec.space.axes}
     lines, tables, sentences = [], [], []
     for name, row in PARAMETERS.items():
-        values = [np.asarray(getattr(params, name)) for params in both]
+        values: list[Any] = [params.numbers.get(name) for params in both]
         lines.append([name, *map(_brief, values), row.unit, bounds.get(name, "frozen")])
-        if any(value.ndim for value in values):
+        if any(np.ndim(value) for value in values):
             entries = np.broadcast_arrays(*values)
             each = [[str(k + 1), *(f"{x:.4g}" for x in pair)] for k, pair in enumerate(zip(*entries, strict=True))]
             tables.append(Table(("entry", "before", "after"), each, f"every entry of {name}"))
@@ -97,10 +98,10 @@ def _knots(params: Params, bounds: Mapping[str, str]) -> Table:
     """Parameters of the knots after tuning; those before may stand elsewhere, or be none."""
     assert params.listening is not None
     lines = []
-    for name, row in PARAMETERS.items():
-        values = [_brief(np.asarray(getattr(knot, name))) for knot in params.knots]
+    for name in params.knots[0].numbers:
+        values = [_brief(getattr(knot, name)) for knot in params.knots]
         free = {text for axis, text in bounds.items() if axis.startswith(KNOTS) and axis.endswith(f".{name}")}
-        lines.append([name, *values, row.unit, "; ".join(sorted(free)) or "frozen"])
+        lines.append([name, *values, PARAMETERS[name].unit, "; ".join(sorted(free)) or "frozen"])
     return Table(("of the knot at", *(f"{K:g} N/m" for K in params.listening.stiffness), "unit", "bounds"), lines)
 
 
@@ -159,9 +160,11 @@ def _percent(share: float) -> str:
     return f"{round(-100.0 * share, 1) + 0.0:+.1f} %" if np.isfinite(share) else "–"
 
 
-def _brief(value: np.ndarray) -> str:
-    """A value, or the range of a diagonal."""
-    return f"{value:.4g}" if value.ndim == 0 else f"{value.min():.2g}…{value.max():.2g}"
+def _brief(value: Any) -> str:
+    """A value, or the range of a diagonal; None is a filter of the experiment's."""
+    if value is None:
+        return "the experiment's"
+    return f"{value:.4g}" if np.ndim(value) == 0 else f"{np.min(value):.2g}…{np.max(value):.2g}"
 
 
 def _spans(seeds: Sequence[int]) -> str:

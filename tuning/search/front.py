@@ -135,8 +135,8 @@ def table(front: Front) -> str:
         numbers = [*(values[i] for values in front.limits.values()), *front.hard[i], front.score[i]]
         numbers += [getattr(front.cells, name)[i].max() for name in METRICS]
         owners = [params, *params.knots] if params else []
-        found = [np.asarray(getattr(owner, name)) for owner in owners for name in PARAMETERS]
-        entries = [f"{value:.6g}" if value.ndim == 0 else " ".join(f"{x:.6g}" for x in value) for value in found]
+        found = [owner.numbers.get(name, ()) for owner in owners for name in PARAMETERS]
+        entries = [" ".join(f"{x:.6g}" for x in np.ravel(value)) for value in found]
         entries += [""] * (len(PARAMETERS) + len(of_knots) - len(entries))
         lines.append(",".join([*(f"{number:.6g}" for number in numbers), *entries]))
     return "\n".join(lines) + "\n"

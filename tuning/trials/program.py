@@ -84,18 +84,20 @@ def _of_motions(met: Met, shared: Shared, *, spec: ProgramSpec, varied: tuple[in
     cells = met.own.shape[:2]
     stiffness = jnp.broadcast_to(robot.tissue.stiffness, cells)
 
-    def radius(K_s: Any, extra: Any, g: Any, K2: Any) -> Any:
-        return spectral_radius(closed_loop_matrix(g, contact_of(K_s, K2, replace(path, delay=1.0 + extra))))
+    def radius(K_s: Any, extra: Any, g: Any, K2: Any, cutoff: Any) -> Any:
+        own = replace(path, delay=1.0 + extra).with_cutoff(cutoff)
+        return spectral_radius(closed_loop_matrix(g, contact_of(K_s, K2, own)))
 
-    over_controllers = jax.vmap(radius, in_axes=(None, None, 0, 0))
-    over_copies = jax.vmap(over_controllers, in_axes=(0, 0, None, None))
-    over_motions = jax.vmap(over_copies, in_axes=(0, 0, None, None))
-    radii = over_motions(stiffness, jnp.broadcast_to(robot.extra_delay, cells), gains, params.K2)
+    over_controllers = jax.vmap(radius, in_axes=(None, None, 0, 0, 0))
+    over_copies = jax.vmap(over_controllers, in_axes=(0, 0, None, None, None))
+    over_motions = jax.vmap(over_copies, in_axes=(0, 0, None, None, None))
+    late, cutoff = jnp.broadcast_to(robot.extra_delay, cells), params.velocity_cutoff
+    radii = over_motions(stiffness, late, gains, params.K2, cutoff)
 
     common = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(met.own), *leaf.shape[1:])), shared.signals)
     signals = common._replace(heart=met.heart, between=met.between, noise=met.noise)
     data = ScenarioData(stiffness, signals, None, shared.force_limit, robot, path)
-    ran = run_loops(ClosedLoops(gains, params.K2, None, residual), data, world=spec, dtype="float64")
+    ran = run_loops(ClosedLoops(gains, params.K2, None, residual, cutoff), data, world=spec, dtype="float64")
     lasted = lasted_per_motion(ran).T
     moments = ran.diverged.T, ran.over_limit.T, ran.lost_contact.T
     status, when = verdict(stability_status(radii, residual), lasted, *moments)
