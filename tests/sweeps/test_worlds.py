@@ -195,3 +195,12 @@ def test_ranking_is_no_part_of_the_hash() -> None:
     assert make_plan(fewer).spec_hash != make_plan(one).spec_hash
     result = computed(dataclasses.replace(other))
     assert (result.feasible <= result.ok).all()
+
+
+@pytest.mark.oracle
+def test_filters_of_controllers_are_swept_as_those_of_the_experiment() -> None:
+    """An axis of either name tells the same rows; the controllers' own share one world."""
+    own, of_world = (computed(made({name: [90.0, 400.0]})) for name in ("velocity_cutoff", "velocity_lowpass"))
+    for name in ("M_s", "chatter", "rms"):
+        np.testing.assert_allclose(own[name], of_world[name], rtol=5e-4 if name != "M_s" else 1e-12)
+    assert agrees_with_evaluate(own, range(2)) == 4

@@ -144,9 +144,10 @@ def test_a_trial_depends_on_its_seed_and_number_alone() -> None:
 
 @pytest.mark.oracle
 @pytest.mark.usefixtures("few")
-def test_every_trial_is_the_experiment_it_says() -> None:
+@pytest.mark.parametrize("own", [{}, {"velocity_cutoff": 320.0, "force_cutoff": 900.0}], ids=["plain", "filters"])
+def test_every_trial_is_the_experiment_it_says(own: dict[str, float]) -> None:
     """Against the public function, one by one; K̂_s 200 is unstable on stiff tissue, whatever the run does."""
-    controllers = Params(), Params(Khat_s=200.0)
+    controllers = Params(**own), Params(Khat_s=200.0, **own)
     given = job(*controllers, spread=HARD)
     found = trials.run(given, BLOCK)
     assert (found.status[:, 1] == Status.UNSTABLE).any()

@@ -1,5 +1,7 @@
 """A controller that filters the measured force: judged, frozen and flown as one loop."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -43,3 +45,24 @@ def test_a_frozen_force_filter_flies_as_it_is_simulated(tmp_path):
     np.testing.assert_allclose(chatter, np.asarray(simulated.metrics.chatter)[0], rtol=0.1)
     plain = evaluate(params, msgspec.structs.replace(FILTERED, sensor=TABLE.sensor)).metrics.chatter[0]
     assert np.all(np.asarray(plain) > 1.2 * chatter)
+
+
+@pytest.mark.oracle
+def test_a_controllers_own_filters_fly_as_the_experiments(tmp_path):
+    """The same runs and the same file but for its words; the robot's runtime replays its golden trace."""
+    text = Params.published("text")
+    theirs = msgspec.structs.replace(FILTERED, duration=4.0, settle=3.0, velocity_lowpass=320.0)
+    ours = msgspec.structs.replace(theirs, velocity_lowpass=180.0, sensor=TABLE.sensor)
+    own = replace(text, velocity_cutoff=320.0, force_cutoff=theirs.force_cutoff)
+    found, expected = evaluate(own, ours), evaluate(text, theirs)
+    for name, values in found.metrics._asdict().items():
+        np.testing.assert_allclose(values, getattr(expected.metrics, name), rtol=1e-7, err_msg=name)
+
+    first = freeze_controller(tmp_path / "own.npz", own, ours, {"M_s": 5.0}, ideal=False)
+    other = freeze_controller(tmp_path / "other.npz", text, theirs, {"M_s": 5.0}, ideal=False)
+    assert first.loop == other.loop
+    np.testing.assert_allclose(first.gains.force_filter, other.gains.force_filter, rtol=1e-12)
+    np.testing.assert_allclose(first.golden_v, other.golden_v, atol=1e-7)
+    np.testing.assert_allclose(first.arm.golden_torque, other.arm.golden_torque, atol=1e-6)
+    frozen = [[row["M_s"] for row in each.margins] for each in (first, other)]
+    np.testing.assert_allclose(*frozen, rtol=1e-9)

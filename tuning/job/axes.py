@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.quantities import PARAMETERS
+from jaxmpc.quantities import FILTERS, PARAMETERS
 from jaxmpc.synthesis.params import Params
 from tuning.job.space import KNOTS, Bounds, FreeParameter, axis_of
 
@@ -60,6 +62,9 @@ def axes_of(
         key, given = f"tune.free.{name}", bounds or "true"
         if parameter not in PARAMETERS:
             raise InputError(key, given, "a known parameter", nearest(parameter, list(PARAMETERS)))
+        if parameter in FILTERS and name.startswith(KNOTS):
+            remedy = f"A signal is filtered before the tissue is known: write `{parameter} = {str(given).lower()}`."
+            raise InputError(key, given, "a parameter of a knot", remedy)
         if not name.startswith(KNOTS):
             found.append(axis_of(name, bounds, name in diagonals, order))
             continue
@@ -73,6 +78,23 @@ def axes_of(
         else:
             found += [axis_of(f"{KNOTS}{i + 1}.{parameter}", bounds, False, order, (i,)) for i in others]
     return found
+
+
+def begun(params: Params, axes: Collection[FreeParameter], experiment: Experiment) -> Params:
+    """The controller with filters of its own where they are free: the experiment's, or the quickest without one.
+
+    Raises:
+        InputError: The velocity's filter is free where the damping is ideal.
+    """
+    there = {"velocity_cutoff": experiment.velocity_lowpass, "force_cutoff": experiment.force_cutoff}
+    own: dict[str, Any] = {}
+    for axis in axes:
+        if axis.name == "velocity_cutoff" and experiment.loop_path().ideal:
+            remedy = 'Set experiment.damping = "sampled", or leave it out.'
+            raise InputError(f"tune.free.{axis.name}", "free", "left out where the damping is ideal", remedy)
+        if axis.name in there and getattr(params, axis.name) is None:
+            own[axis.name] = there[axis.name] or axis.high
+    return replace(params, **own)
 
 
 def check_axis(axis: FreeParameter, params: Params) -> None:

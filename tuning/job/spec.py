@@ -17,7 +17,7 @@ from jaxmpc.files.toml import located, read_toml
 from jaxmpc.quantities import MARGINS
 from jaxmpc.stability.family import judged_where
 from jaxmpc.synthesis.params import Params
-from tuning.job.axes import axes_of, check_axis
+from tuning.job.axes import axes_of, begun, check_axis
 from tuning.job.goals import GOALS, MEASURED, OVERSHOOT, check_goals
 from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
@@ -76,7 +76,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
                     remedy = f"Add `{prefix}{name} = true` to [tune.free]."
                     raise InputError(f"tune.{key}", name, "a free parameter", remedy)
         for axis in self.space.axes:
-            check_axis(axis, self.params)
+            check_axis(axis, self.space.base)
 
     def _check_knots(self) -> None:
         """Refuse what would leave a knot without a judge."""
@@ -102,7 +102,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         tissues = ", ".join(f"{K:g}" for K in experiment.stiffness)
         hard = [f"{name} {GOALS[name].sign} {GOALS[name].amount(limit)}" for name, limit in self.goals.items()]
         implied = [f"{name} {GOALS[name].sign} {GOALS[name].amount(limit)}" for name, limit in self.implied.items()]
-        start = {axis.name: self.params.to_dict().get(axis.name) for axis in self.space.axes}
+        start = {axis.name: self.space.base.to_dict().get(axis.name) for axis in self.space.axes}
         return {
             "experiment": f"{experiment.name}, physics {experiment.physics}, {experiment.duration:g} s, "
             f"K_s {tissues} N/m",
@@ -140,8 +140,9 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def space(self) -> SearchSpace:
-        """The free parameters as one vector."""
-        return SearchSpace(self.params, axes_of(self.free, self.tune.diagonals, self.tune.tied, self.params))
+        """The free parameters as one vector; free filters begin as the experiment's."""
+        axes = axes_of(self.free, self.tune.diagonals, self.tune.tied, self.params)
+        return SearchSpace(begun(self.params, axes, self.experiment), axes)
 
     @property
     def on_arm(self) -> bool:

@@ -94,7 +94,7 @@ def screened(spec: TuneSpec, problem: Problem, count: int, show: bool) -> np.nda
             losses.append(problem.differentiate(part, 1.0).loss)
             tick(count * len(losses), "")
     order = np.argsort(np.concatenate(losses), stable=True)
-    return np.concatenate([space.encode(spec.params)[None], drawn[order[: count - 1]]])
+    return np.concatenate([space.encode(space.base)[None], drawn[order[: count - 1]]])
 
 
 def proposed(spec: TuneSpec, state: SearchState, count: int) -> np.ndarray:
@@ -105,7 +105,7 @@ def proposed(spec: TuneSpec, state: SearchState, count: int) -> np.ndarray:
     reached = np.isfinite(state.best)
     vectors = np.where(reached[:, None], state.best_z, state.closest_z)
     order = np.lexsort((state.closest, state.best))
-    chosen = [spec.space.encode(spec.params)]
+    chosen = [spec.space.encode(spec.space.base)]
     for z in vectors[order]:
         if len(chosen) < count and all(np.abs(z - other).mean() > SAME for other in chosen):
             chosen.append(z)
