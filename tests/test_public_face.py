@@ -107,7 +107,8 @@ def test_a_tuned_result_tells_before_and_after() -> None:
     text = repr(tuned())
     assert text.startswith("TuneResult, every goal met")
     assert "0.02 → 0.01 N" in text
-    for row in (METRICS["rms"], *MARGINS.values(), *PARAMETERS.values()):
+    own = [PARAMETERS[name] for name in tuned().params.numbers]
+    for row in (METRICS["rms"], *MARGINS.values(), *own):
         assert row.name in text
     assert re.search(r"<td[^>]*>0.02 → 0.01</td><td[^>]*>N</td>", tuned()._repr_html_())
 
