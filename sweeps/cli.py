@@ -153,15 +153,17 @@ def _run(
 
     from sweeps import rates
     from sweeps.crew import Alone
+    from sweeps.decided import folder_of
     from sweeps.engines import devices
     from sweeps.leases import SILENCE, given_up
     from sweeps.refine.run import run as run_refined
     from sweeps.run import SweepStoppedError
     from sweeps.run import run as run_plain
+    from sweeps.show.best_rows import chance
 
     began, told = time.monotonic(), partial(print, flush=True)
     try:
-        result = (run_plain if spec.refine is None else partial(run_refined, told=told))(
+        result = (run_plain if spec.refine is None else run_refined)(
             spec,
             folder,
             chunk=args.chunk,
@@ -171,6 +173,7 @@ def _run(
             retry=bool(args.retry),
             silence=args.silence or SILENCE,
             crew=crew,
+            told=told,
             # Workers share cores with each other, or have others: their pace is no estimate of this process's.
             paced=(lambda plan, pace: rates.record(plan, pace, devices(cores))) if crew is Alone else None,
         )
@@ -182,12 +185,16 @@ def _run(
         return 1
     print(f"{len(result)} rows after {time.monotonic() - began:.1f} s")
     print(counts(result))
+    print("".join(f"{line}\n" for line in chance(result)), end="")
     if result.complete:
         print(f"result {result.hash}\nnext: jaxmpc sweep report {folder}")
         return 0
-    if aside := given_up(folder if not result.stages else folder / "stages" / result.stages[-1][0]):
+    where, plan = folder if not result.stages else folder / "stages" / result.stages[-1][0], result.plan
+    if result.decided is not None:
+        where, plan = folder_of(where, result.decided.plan), result.decided.plan
+    if aside := given_up(where):
         for (first, last), reason in aside.items():
-            rows = f"{result.plan.rows[first]} … {result.plan.rows[last - 1]}"
+            rows = f"{plan.rows[first]} … {plan.rows[last - 1]}"
             print(f"jaxmpc sweep: rows {rows} are set aside: {reason}", file=sys.stderr)
         print("jaxmpc sweep: --retry tries them again", file=sys.stderr)
         return 1

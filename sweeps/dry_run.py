@@ -48,6 +48,8 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
         chunks = max(1, round(took.rows / took.rate / CHUNK_SECONDS))
         lines.append(f"  time        {took.seconds:.0f} s from nothing: {parts} (from {took.like})")
         lines.append(f"  chunks      {chunks} of some seconds each")
+    if spec.precision == "float32" and spec.goal.decide:
+        lines.append(f"  float64     then once more what float32 cannot decide, {spec.goal.decide} rows at most")
     if spec.refine is not None:
         refined = "what stands above is of all rows on the spec's own experiment"
         lines.append(f"  refined by  {spec.refine.method}: {refined}")

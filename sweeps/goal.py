@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -12,6 +12,10 @@ from jaxmpc.quantities import HIGHEST_M_S, MARGINS, METRICS, Quantity
 MEASURED: Mapping[str, Quantity] = MappingProxyType({**METRICS, **MARGINS})
 """What can be ranked, limited and kept."""
 
+Decide = Annotated[int, msgspec.Meta(ge=0, le=100_000)]
+DECIDE = 1000
+"""Rows that run once more in float64 at most, unless a spec says otherwise."""
+
 
 class SweepGoal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How rows are ranked; no bit of a row depends on it.
@@ -20,10 +24,12 @@ class SweepGoal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         best: The metric or margin that ranks, at its worst over stiffness and axis.
         constraints: Limit of each quantity that must be kept at every stiffness and axis, in its unit: a ceiling or a
             floor, as the quantity is.
+        decide: How many of the rows that float32 cannot decide run once more in float64, at most.
     """
 
     best: str = "rms"
     constraints: dict[str, float] = msgspec.field(default_factory=lambda: {"M_s": HIGHEST_M_S})
+    decide: Decide = DECIDE
 
     def __post_init__(self) -> None:
         for key, name in (("sweep.best", self.best), *((f"sweep.constraints.{n}", n) for n in self.constraints)):

@@ -118,11 +118,15 @@ class Plan:
         return sum(np.dtype(dtype).itemsize * int(np.prod(shape)) for dtype, shape in self.layout.values())
 
     def hash_of(self, columns: Mapping[str, np.ndarray]) -> str:
-        """sha256 over the little-endian bytes of all columns in their fixed order."""
+        """sha256 over the little-endian bytes of all columns in their fixed order.
+
+        A column of float32 that float64 has corrected counts with all its digits.
+        """
         total = hashlib.sha256()
         for name, column in self.layout.items():
-            values = np.ascontiguousarray(columns[name], np.dtype(column.dtype))
-            total.update(canonical_json([name, column.dtype, list(values.shape)]).encode())
+            dtype = "<f8" if columns[name].dtype == np.float64 else column.dtype
+            values = np.ascontiguousarray(columns[name], np.dtype(dtype))
+            total.update(canonical_json([name, dtype, list(values.shape)]).encode())
             total.update(values)
         return total.hexdigest()
 

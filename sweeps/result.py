@@ -8,6 +8,7 @@
     result.best(10), result.pareto("rms", "M_s", "chatter")         # Results of some rows, in order
     result.place(1234), result.controller(place), result.experiment(place), result.settings(place)
     result.tissues                              # (rows, stiffness): stiffness that each row met [N/m]
+    result["in_float64"], result.undecided()    # rows that ran once more in float64; places of those that should
     result.stages                               # of a refined sweep: (name, Result) in order, the last is this one
     result.to_csv(path), result.to_xarray(), result.to_pandas()     # `sweeps.labelled`
 
@@ -29,12 +30,14 @@ from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps import chunks, labelled, store
 from sweeps.axis import SweepAxis
+from sweeps.decided import Decided, read_decided, with_decided
 from sweeps.front import front
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.judged import Point, baseline_of, worst
 from sweeps.merging import merge
 from sweeps.plan import Plan
 from sweeps.rows import experiment_of, meetings, stiffness_met, world_of
+from sweeps.undecided import IN_FLOAT64, undecided
 
 if TYPE_CHECKING:
     import pandas
@@ -50,15 +53,18 @@ class Result:
 
     Attributes:
         plan: What was swept.
-        columns: Row number, entries of the axes, status, metrics and margins (`jaxmpc.quantities`).
+        columns: Row number, entries of the axes, status, metrics and margins (`jaxmpc.quantities`); and whether the row
+            ran in float64, as those of a float32 sweep do that it cannot decide.
         baseline: The base controller on the base experiment, once the sweep is finished.
         stages: Of a refined sweep: each stage's name and rows, in order.
+        decided: What the rows that ran once more in float64 were in float32; None where none did.
     """
 
     plan: Plan
     columns: Mapping[str, np.ndarray]
     baseline: Point | None = None
     stages: tuple[tuple[str, "Result"], ...] = field(default=(), compare=False, repr=False)
+    decided: Decided | None = field(default=None, compare=False, repr=False)
 
     @staticmethod
     def load(folder: str | Path) -> "Result":
@@ -73,8 +79,26 @@ class Result:
             return replace(_last(stages), stages=tuple(stages))
         plan = store.read_plan(folder)
         columns, there = chunks.read_chunks(folder, plan)
-        rows = columns if there.all() else {name: values[there] for name, values in columns.items()}
-        return Result(plan, rows, baseline_of(store.read_summary(folder)))
+        result = Result.of(plan, columns, there, baseline_of(store.read_summary(folder)))
+        found = read_decided(folder, plan, result.columns) if result.complete else None
+        if found is None:
+            return result
+        rows, decided = with_decided(result.columns, *found)
+        return replace(result, columns=rows, decided=decided)
+
+    @staticmethod
+    def of(plan: Plan, columns: Mapping[str, np.ndarray], there: np.ndarray, baseline: Point | None = None) -> "Result":
+        """The rows that are there.
+
+        Args:
+            plan: What was swept.
+            columns: Every planned row.
+            there: Whether it is there, (rows,).
+            baseline: See `Result`.
+        """
+        rows = dict(columns) if there.all() else {name: values[there] for name, values in columns.items()}
+        exact = plan.canonical["precision"] == "float64"
+        return Result(plan, {**rows, IN_FLOAT64: np.full(int(there.sum()), exact)}, baseline)
 
     def __repr__(self) -> str:
         swept = ", ".join(axis.name for axis in self.plan.space.axes)
@@ -105,8 +129,8 @@ class Result:
 
     @property
     def complete(self) -> bool:
-        """Whether every planned row is here."""
-        return len(self) == len(self.plan.rows)
+        """Whether every planned row is here, and every one that was to run once more in float64."""
+        return len(self) == len(self.plan.rows) and (self.decided is None or self.decided.complete)
 
     @cached_property
     def explored(self) -> "Result":
@@ -146,6 +170,10 @@ class Result:
         if name not in self.plan.kept:
             raise InputError("quantity", name, "kept by the sweep", nearest(name, list(self.plan.kept)))
         return worst(self.columns, name)
+
+    def undecided(self, goal: SweepGoal | None = None) -> np.ndarray:
+        """Places of the rows whose status or rank is chance in float32, and that did not run in float64."""
+        return undecided(self.plan, self.columns, goal)
 
     def take(self, places: "np.ndarray | slice") -> "Result":
         """Some rows, in the order given, by their places in this result."""

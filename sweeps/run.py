@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from sweeps import chunks, store
 from sweeps.chunks import StoredChunks
 from sweeps.compute import baseline, round_of
 from sweeps.crew import Alone, ComputedChunk, Crew
+from sweeps.decided import folder_of, plan_in_float64, with_decided
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.interrupt import gently
 from sweeps.judged import Point, baseline_of, keeps, worst
@@ -47,11 +49,13 @@ def run(
     silence: float = SILENCE,
     crew: MakeCrew = Alone,
     paced: Callable[[Plan, Pace], None] | None = None,
+    told: Callable[[str], None] = lambda text: None,
 ) -> Result:
     """Run a sweep, or what is missing of it; several processes may do so in one folder, and share the work.
 
     Bad controllers never stop it: their `Status` says what happened. Whatever stops it, call it again with
-    the same arguments: at most the chunk in work is lost.
+    the same arguments: at most the chunk in work is lost. When all is there, the rows that float32 cannot decide run
+    once more in float64, `spec.goal.decide` of them at most.
 
     Args:
         spec: What is swept.
@@ -64,6 +68,7 @@ def run(
         silence: After so long without a sign of life another process takes a chunk over [s].
         crew: Who computes.
         paced: Told at the end how long rows took.
+        told: Called with a line before rows run once more.
 
     Returns:
         Every row; those that are there, where chunks were set aside or somebody stopped it.
@@ -76,35 +81,45 @@ def run(
     folder, plan = Path(folder), make_plan(spec)
     if chunk is not None:
         check_chunk(plan, chunk)
-    store.prepare(folder, plan)
-    found = chunks.read_chunks(folder, plan, mend=True)
-    leases = Leases(folder, silence)
-    try:
-        if retry:
-            leases.retry()
-        share = Share(folder, plan, found.there, leases, part)
-        with progress_of("sweep", len(found.there), enabled=progress) as tick, gently(gentle) as stop:
-            count = _Count(tick, plan.goal, share)
-            pace = Pace(chunk, round_of(plan), plan.largest_chunk)
-            makers = crew(count.add)
-            try:
-                with Writer() as writer:
-                    for piece in makers.work(plan, share, leases, pace, lambda: stop() or writer.failed):
-                        writer.begin(partial(_keep, folder, plan, piece, found, share, leases, spec.on_error))
-                        if piece.ends:
-                            # No other is begun before: who is killed loses one stretch.
-                            writer.settle()
-            finally:
-                makers.close()
-    finally:
-        leases.close()
-    if paced is not None:
-        paced(plan, pace)
-    # What this process has written it need not read.
-    columns, there = chunks.read_chunks(folder, plan, known=found)
-    if not there.all():
-        return Result(plan, {name: values[there] for name, values in columns.items()})
-    return _finished(folder, plan, columns)
+
+    def computed(plan: Plan, folder: Path, chunk: int | None) -> Result:
+        store.prepare(folder, plan)
+        found = chunks.read_chunks(folder, plan, mend=True)
+        leases = Leases(folder, silence)
+        try:
+            if retry:
+                leases.retry()
+            share = Share(folder, plan, found.there, leases, part)
+            with progress_of("sweep", len(found.there), enabled=progress) as tick, gently(gentle) as stop:
+                count = _Count(tick, plan.goal, share)
+                pace = Pace(chunk, round_of(plan), plan.largest_chunk)
+                makers = crew(count.add)
+                try:
+                    with Writer() as writer:
+                        for piece in makers.work(plan, share, leases, pace, lambda: stop() or writer.failed):
+                            writer.begin(partial(_keep, folder, plan, piece, found, share, leases, spec.on_error))
+                            if piece.ends:
+                                # No other is begun before: who is killed loses one stretch.
+                                writer.settle()
+                finally:
+                    makers.close()
+        finally:
+            leases.close()
+        if paced is not None:
+            paced(plan, pace)
+        # What this process has written it need not read.
+        return Result.of(plan, *chunks.read_chunks(folder, plan, known=found))
+
+    result = computed(plan, folder, chunk)
+    if not result.complete:
+        return result
+    if (again := plan_in_float64(plan, result.columns)) is not None:
+        told(f"float64: {len(again.rows)} rows that float32 cannot decide, once more")
+        # What fits a file in float32 may not in float64.
+        found = computed(again, folder_of(folder, again), chunk and min(chunk, again.largest_chunk))
+        columns, decided = with_decided(result.columns, again, found.columns)
+        result = replace(result, columns=columns, decided=decided)
+    return _finished(folder, result) if result.complete else result
 
 
 def _keep(
@@ -136,11 +151,11 @@ def _keep(
             share.give_back(piece.stretch)
 
 
-def _finished(folder: Path, plan: Plan, columns: Columns) -> Result:
+def _finished(folder: Path, result: Result) -> Result:
     """The result with its baseline; its summary is written unless it is there."""
     summary = store.read_summary(folder)
-    point = baseline_of(summary) or _baseline(plan)
-    result = Result(plan, columns, point)
+    point = baseline_of(summary) or _baseline(result.plan)
+    result = replace(result, baseline=point)
     if summary.get("result_hash") != result.hash:
         # JSON has no infinity: an unstable baseline is null.
         written = [value if math.isfinite(value) else None for value in point]

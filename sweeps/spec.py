@@ -88,7 +88,8 @@ class SweepSpec:
             world["stiffness"] = stiffness_set(wanted, table.stiffness_sets, "experiment.stiffness")
         experiment = experiment_table(world, folder)
         params = params_table(data.get("params", {}), folder)
-        goal = SweepGoal(table.best) if table.constraints is None else SweepGoal(table.best, table.constraints)
+        limits = {} if table.constraints is None else {"constraints": table.constraints}
+        goal = SweepGoal(table.best, decide=table.decide, **limits)
         space = read_space(table, params, experiment)
         kept = columns_kept(table.columns, goal)
         spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)

@@ -6,6 +6,7 @@ import msgspec
 
 from jaxmpc.world.heart.bounds import Seed
 from sweeps.axis import Drawn
+from sweeps.goal import DECIDE, Decide
 from sweeps.space import MOST_ROWS
 
 Ends = tuple[float, float]
@@ -53,6 +54,8 @@ class SweepTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What ranks the rows."""
     constraints: dict[str, float] | None = None
     """Limits that a good row keeps; None is M_s ≤ 2."""
+    decide: Decide = DECIDE
+    """How many of the rows that float32 cannot decide run once more in float64, at most; 0 is none."""
     on_error: OnError = "keep"
     """What to do about a chunk that cannot be computed: set it aside, or stop."""
 

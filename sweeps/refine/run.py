@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
+from msgspec.structs import replace as changed
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import digest
@@ -56,7 +57,7 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
     for leg in _legs(spec, spec.refine, done):
         rows, experiment = len(leg.spec.space.rows()), leg.spec.experiment
         told(f"{leg.name}: {rows} rows on {experiment.physics}, {rows * experiment.steps:.3g} steps a tissue")
-        result = run_plain(leg.spec, folder / "stages" / leg.name, **how)
+        result = run_plain(leg.spec, folder / "stages" / leg.name, told=told, **how)
         done.append((leg.name, result))
         if not result.complete:
             return replace(result, stages=tuple(done))
@@ -75,8 +76,11 @@ def check(folder: Path, spec: SweepSpec) -> bool:
 
 def described(spec: SweepSpec) -> tuple[dict[str, Any], str]:
     """The whole as plain data, and its hash: here the ranking counts, since later stages follow from it."""
-    refine = msgspec.to_builtins(spec.refine)
-    canonical = {"sweep": make_plan(spec).canonical, "goal": msgspec.to_builtins(spec.goal), "refine": refine}
+    refine, goal = msgspec.to_builtins(spec.refine), msgspec.to_builtins(spec.goal)
+    if spec.precision == "float64" or not spec.goal.decide:
+        # Folders from before anything ran once more in float64 go on.
+        del goal["decide"]
+    canonical = {"sweep": make_plan(spec).canonical, "goal": goal, "refine": refine}
     plain = msgspec.json.decode(msgspec.json.encode(canonical))
     return plain, digest(plain)
 
@@ -87,7 +91,9 @@ def _legs(spec: SweepSpec, refine: RefineTable, done: list[tuple[str, Result]]) 
     wanted: tuple[int, ...] | None = None
     if refine.method == "halving":
         for i, stage in enumerate(refine.stages):
-            yield Leg(f"{i}{SCREEN}", _only(plain.on(stage.experiment), wanted))
+            # Chance among those that hardly go on, or hardly do not, costs nothing.
+            screened = replace(plain, goal=changed(plain.goal, decide=0))
+            yield Leg(f"{i}{SCREEN}", _only(screened.on(stage.experiment), wanted))
             wanted = survivors(done[-1][1], stage.keep)
             if not wanted:
                 raise InputError("refine.stages", f"stage {i}", "survived by a row", "No row is OK: widen the axes.")

@@ -55,6 +55,26 @@ def rendered(result: Result, n: int, max_M_s: float | None) -> tuple[list[str], 
     return head, lines
 
 
+def progress(result: Result) -> str:
+    """How many of its rows are here, in words."""
+    rows = f"{len(result)} of {len(result.plan.rows)} rows"
+    return rows if result.decided is None else f"{rows}, {result.decided.there}"
+
+
+def chance(result: Result, max_M_s: float | None = None) -> list[str]:
+    """What float64 has decided of a float32 sweep and what is left to chance, in sentences; none where that is nothing.
+
+    Args:
+        result: The sweep.
+        max_M_s: Largest accepted worst-case peak sensitivity [-]; None is the spec's.
+    """
+    lines = [] if result.decided is None else [result.decided.sentence(result.goal)]
+    if left := len(result.undecided(goal_of(result, max_M_s))):
+        bound = "`decide` in [sweep] bounds how many run in float64"
+        lines.append(f"{left} rows{' more' * len(lines)} have a rank or status that is chance in float32; {bound}")
+    return lines
+
+
 def goal_of(result: Result, max_M_s: float | None) -> SweepGoal:
     """What ranks and limits the rows of a sweep, where another limit of M_s may be given."""
     return result.goal if max_M_s is None else result.goal.limited({"M_s": max_M_s})

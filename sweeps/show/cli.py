@@ -38,13 +38,14 @@ def show(verb: str, args: argparse.Namespace) -> int:
     if args.goals is not None and verb != "pareto":
         raise InputError("--goals", args.goals, "left out here", "It belongs to `jaxmpc sweep pareto`.")
     from sweeps.result import Result
+    from sweeps.show.best_rows import chance, progress
 
     folder = Path(args.what[1])
     result = Result.load(folder)
     if not len(result):
         raise InputError("sweep folder", folder, "begun", "It has no finished chunk yet.")
     if not result.complete:
-        print(f"jaxmpc sweep: unfinished: {len(result)} of {len(result.plan.rows)} rows", file=sys.stderr)
+        print(f"jaxmpc sweep: unfinished: {progress(result)}", file=sys.stderr)
     if verb == "report":
         return _report(result, folder, args, n)
     from sweeps.show.tables import row_sheet, rows_table, sensitivity_table
@@ -58,6 +59,7 @@ def show(verb: str, args: argparse.Namespace) -> int:
     elif verb == "best":
         shown = result.best(n, limit)
         print(rows_table(shown, f"best of {len(result)} rows: {result.goal.text}"))
+        print("".join(f"{line}\n" for line in chance(result, limit)), end="")
     else:
         goals = tuple(name.strip() for name in args.goals.split(",")) if args.goals else ("rms", "M_s")
         shown = result.pareto(*goals)
@@ -108,7 +110,7 @@ def write_params(result: "Result", path: Path) -> None:
 
 def _report(result: "Result", folder: Path, args: argparse.Namespace, n: int) -> int:
     from jaxmpc.files.toml import write_toml
-    from sweeps.show.best_rows import table
+    from sweeps.show.best_rows import chance, table
     from sweeps.show.report import sweep_report
 
     limit = args.max_ms
@@ -129,5 +131,6 @@ def _report(result: "Result", folder: Path, args: argparse.Namespace, n: int) ->
         written.append(args.csv)
     print(counts(result))
     print(table(result, n, limit))
+    print("".join(f"{line}\n" for line in chance(result, limit)), end="")
     print(f"result {result.hash}\nwritten: {', '.join(map(str, written))}")
     return 0

@@ -10,7 +10,7 @@ from jaxmpc.report.content import Report, Section, Table
 from jaxmpc.report.page import write_report
 from sweeps.goal import MEASURED
 from sweeps.result import Result
-from sweeps.show.best_rows import caption, goal_of, rendered
+from sweeps.show.best_rows import caption, chance, goal_of, progress, rendered
 from sweeps.show.candidates import candidates
 from sweeps.show.curves import details, note, that_matter, world_words
 
@@ -51,7 +51,8 @@ def sweep_report(result: Result, path: Path, max_M_s: float | None = None, curve
         f"Result sha256 {result.hash}, spec {result.plan.spec_hash[:12]}.",
     ]
     if not result.complete:
-        lead.append(f"Unfinished: {len(result)} of {len(result.plan.rows)} rows.")
+        lead.append(f"Unfinished: {progress(result)}.")
+    lead += _told(wide, max_M_s)
     if len(shown) < len(wide):
         lead.append(
             f"Shown are {len(shown)}: the Pareto front, the best 1000 and an even sample of the others; all are in the "
@@ -83,7 +84,11 @@ def _again(result: Result, wide: Result, max_M_s: float | None) -> Section:
         f"keep the limits there too. The last columns are what they were on the {world_words(wide)}."
     )
     table = Table([*head, f"{quantity.heading} before", "rank before"], lines)
-    return Section("Best rows, run once more", [words, caption(result, max_M_s)], [table])
+    return Section("Best rows, run once more", [words, *_told(result, max_M_s), caption(result, max_M_s)], [table])
+
+
+def _told(result: Result, max_M_s: float | None) -> list[str]:
+    return [f"{line[0].upper()}{line[1:]}." for line in chance(result, max_M_s)]
 
 
 def _sample(result: Result, max_M_s: float | None) -> Result:

@@ -247,7 +247,7 @@ def test_a_sweep_runs_on_the_arm(tmp_path: Any) -> None:
             # A step of the reference asks for more than a joint gives.
             "experiment": {**experiment, "reference": {"z": -1.0}, "arm": UNLIMITED},
             "params": {"published": "text"},
-            "sweep": {"kind": "grid", "axes": {"lam": [0.01, 0.1, 1.0], "T_cl": [1e-3, 3e-3]}},
+            "sweep": {"kind": "grid", "decide": 0, "axes": {"lam": [0.01, 0.1, 1.0], "T_cl": [1e-3, 3e-3]}},
         }
     )
     result = sweep(spec, tmp_path / "run")

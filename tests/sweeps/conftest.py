@@ -22,6 +22,7 @@ published = "text"
 
 [sweep]
 kind = "grid"
+decide = 0
 
 [sweep.axes]
 lam = { log = [0.001, 10.0], points = 40 }

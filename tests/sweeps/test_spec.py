@@ -79,7 +79,7 @@ WRONG = {
     "nan in a list": (
         "[3, 10]",
         "[3, 10]\nK2 = [1.0, nan]",
-        ["sweep.axes.K2", "nan", "[0, 10000] 1/s", "spec.toml:18"],
+        ["sweep.axes.K2", "nan", "[0, 10000] 1/s", "spec.toml:19"],
     ),
     "inf in a range": ("[0.001, 10.0]", "[0.001, inf]", ["sweep.axes.lam", "inf"]),
     "out of bounds": ("[3, 10]", "[3, 100]", ["sweep.axes.Hp", "100", "[1, 64] samples"]),
@@ -165,7 +165,7 @@ def test_the_real_command_refuses_without_a_traceback(write_spec: Write, spec_te
     )
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
-    assert f"{path}:17: sweep.axes.Hp = nan" in done.stderr
+    assert f"{path}:18: sweep.axes.Hp = nan" in done.stderr
     assert not (tmp_path / "runs").exists()
 
 

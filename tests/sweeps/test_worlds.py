@@ -35,7 +35,8 @@ SHORT: dict[str, Any] = {
 
 def made(axes: dict[str, Any], kind: str = "grid", **more: Any) -> SweepSpec:
     experiment = {**SHORT, **more.pop("experiment", {})}
-    return SweepSpec.from_dict({"experiment": experiment, "sweep": {"kind": kind, "axes": axes, **more}})
+    sweep = {"kind": kind, "axes": axes, "decide": 0, **more}
+    return SweepSpec.from_dict({"experiment": experiment, "sweep": sweep})
 
 
 def computed(spec: SweepSpec) -> Result:
