@@ -1,13 +1,15 @@
 """Decides from what has been heard of the tissue: which stiffness is believed, who controls, whether to listen on.
 
-The schedule has the control to the share of its authority, which rises where the stiffness is surely known and falls
-where doubt is large. Doubt comes from a loop that rings or bursts, from the force's error, and from a guard that takes
-back gain. The sine sounds until the stiffness is known, and again from a doubt on, within the time that it may.
+The schedule has the control to the share of its authority, which rises where the stiffness is surely known, comes back
+after a push (`credit`), and falls where doubt is large. Doubt comes from a loop that rings or bursts, from the force's
+error, and from a guard that takes back gain. The sine sounds until the stiffness is known, and again from a doubt on,
+within the time that it may.
 """
 
+from jaxmpc.law import credit
 from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Scalar
-from jaxmpc.law.stiffness import FORCE_FLOOR, StiffnessEstimate, StiffnessIdentification
+from jaxmpc.law.stiffness import FORCE_FLOOR, Alarm, StiffnessEstimate, StiffnessIdentification
 
 ELASTIC, VISCOUS = 0.05, 0.09
 """Lead of the force up to which the schedule may have all of the control, and from which on none [-]. The sensor's
@@ -37,7 +39,7 @@ def decide(
     stiffness: Scalar,
     lead: Scalar,
     backed_off: Scalar,
-    elsewhere: Scalar,
+    anywhere: Alarm,
     ops: Ops,
 ) -> StiffnessEstimate:
     """What is believed of the stiffness, who controls, and whether to go on listening.
@@ -48,7 +50,7 @@ def decide(
         stiffness: What this tells [N/m].
         lead: By how much the force leads the displacement [-].
         backed_off: Share of the gain that a guard is taking back [-].
-        elsewhere: Largest doubt of any axis at the last sample [-].
+        anywhere: The most of any axis at the last sample: what has changed under one has changed under all.
         ops: Scalar functions.
     """
     T_s, band = constants.T_s, constants.band
@@ -73,11 +75,16 @@ def decide(
     learning = T_s * quiet * (LEARNING * (1.0 - judged) + FORGETTING * calm)
 
     arrived = ops.clip(2.0 - 20.0 * abs(miss), 0.0, 1.0)
-    large = ops.clip(2.0 * ops.maximum(doubt, elsewhere) - 1.0, 0.0, 1.0)
-    authority = state.authority + T_s * (RISING * sure * arrived - FALLING * large)
+    large = ops.clip(2.0 * ops.maximum(doubt, anywhere.doubt) - 1.0, 0.0, 1.0)
+    strain = ops.maximum(state.strain, anywhere.strain)
+    pardoned = credit.pardon(state, strain, ops)
+    rising = ops.maximum(RISING * sure * arrived, credit.RETURNING * pardoned * (1.0 - large))
+    authority = state.authority + T_s * (rising - FALLING * large)
     # Once it is more than half on again, the sine grows, and stays, until the stiffness has been heard.
     begun = ops.clip(10.0 * state.listening - 5.0, 0.0, 1.0) * ops.clip(8.5 - 10.0 * state.heard, 0.0, 1.0)
     unsettled = ops.clip(ops.maximum(ops.maximum(1.0 - settled, 10.0 * doubt), begun), 0.0, 1.0)
+    # A schedule that comes back by itself needs no sine.
+    unsettled = unsettled * (1.0 - pardoned * (1.0 - settled))
     done = ops.maximum(sure * arrived, ops.clip(6.0 - 10.0 * state.listening, 0.0, 1.0))
     # What has begun goes on until the time is used up, and what has ended waits: in between nothing is stable.
     limit = AGAIN + (1.0 - AGAIN) * state.listening
@@ -85,6 +92,7 @@ def decide(
     sounding = unsettled * allowed - ops.maximum((1.0 - unsettled) * done, 1.0 - allowed)
     listening = state.listening + HEARING * T_s * sounding
     trust = state.trust + T_s * ((1.0 - state.trust) / TRUST - DISTRUST * state.authority * state.trust * swinging)
+    state = credit.step(state, T_s, sure * arrived, settled, large, strain, ops)
     return state._replace(
         log_stiffness=ops.clip(log_stiffness, constants.least, constants.most),
         authority=ops.clip(authority, 0.0, state.trust),

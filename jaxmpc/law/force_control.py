@@ -132,9 +132,9 @@ def respond(
     gains, guard, (q, qd) = controller.gains, state.guard, state.measured
     tip = chain.tip(controller.chain, chain.pose(controller.chain, q, ops))
     taken = 0.0 if guard is None else gain_backoff.taken(guard.memory, ops)
-    elsewhere = schedule.doubt(state.axes, ops)
+    anywhere = schedule.alarm(state.axes, ops)
     heard = [
-        schedule.listen(gains, axis, y, x, ahead[0], taken, elsewhere, ops)
+        schedule.listen(gains, axis, y, x, ahead[0], taken, anywhere, ops)
         for axis, y, x, ahead in zip(state.axes, force, tip.position, force_ref, strict=True)
     ]
     filtered = [cascade.filter_force(gains, axis, y) for (axis, _, _), y in zip(heard, force, strict=True)]

@@ -25,14 +25,17 @@ again.
 """
 
 from jaxmpc.law.belief import decide
+from jaxmpc.law.credit import push
 from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Scalar
-from jaxmpc.law.stiffness import FORCE_FLOOR, UNHEARD, Pair, StiffnessEstimate, StiffnessIdentification
+from jaxmpc.law.stiffness import FORCE_FLOOR, UNHEARD, Alarm, Pair, StiffnessEstimate, StiffnessIdentification
 
 TIP_FLOOR, LEAD_FLOOR = 1e-18, 1e-15
 """As `FORCE_FLOOR`, of the tip's movement [m²] and of their product [N m]."""
-BURST, UPSET_MEMORY = 0.03, 0.1
-"""Memory of a burst of noise, and of the force's error [s]."""
+BURST, UPSET_MEMORY, STRAIN_MEMORY = 0.03, 0.1, 1.0
+"""Memory of a burst of noise, of the force's error, and of the longer one of it [s]."""
+FORGIVING = 20.0
+"""By how much faster the watch forgets its noise after a push that took the control from the schedule [-]."""
 
 
 def dither(constants: StiffnessIdentification, state: StiffnessEstimate) -> Scalar:
@@ -58,7 +61,7 @@ def step(
     tip: Scalar,
     wanted: Scalar,
     backed_off: Scalar,
-    elsewhere: Scalar,
+    anywhere: Alarm,
     ops: Ops,
 ) -> StiffnessEstimate:
     """Advance by one sample.
@@ -70,14 +73,17 @@ def step(
         tip: Measured displacement of the tip along the axis, from any origin [m].
         wanted: Wanted force, without the sine [N].
         backed_off: Share of the gain that a guard is taking back [-].
-        elsewhere: Largest doubt of any axis at the last sample: what has changed under one has changed under all [-].
+        anywhere: The most of any axis at the last sample: what has changed under one has changed under all.
         ops: Scalar functions.
     """
-    state = _watch(constants, state, force)
+    state = _watch(constants, state, force, ops.maximum(state.strain, anywhere.strain), ops)
     state, stiffness, lead = _listen(constants, state, force, tip, ops)
     error = force - answer(constants, state) - wanted
-    state = state._replace(upset=state.upset + constants.T_s / UPSET_MEMORY * (error * error - state.upset))
-    return decide(constants, state, stiffness, lead, backed_off, elsewhere, ops)
+    state = state._replace(
+        upset=state.upset + constants.T_s / UPSET_MEMORY * (error * error - state.upset),
+        strain=state.strain + constants.T_s / STRAIN_MEMORY * (error * error - state.strain),
+    )
+    return decide(constants, state, stiffness, lead, backed_off, anywhere, ops)
 
 
 def _listen(
@@ -110,15 +116,19 @@ def _listen(
     return state, stiffness, ahead / (abs(in_phase) + LEAD_FLOOR)
 
 
-def _watch(constants: StiffnessIdentification, state: StiffnessEstimate, force: Scalar) -> StiffnessEstimate:
+def _watch(
+    constants: StiffnessIdentification, state: StiffnessEstimate, force: Scalar, strain: Scalar, ops: Ops
+) -> StiffnessEstimate:
     """The watch: a fading-memory filter of second order, and the power of what it has not predicted."""
     T_s, (of_value, of_rate, of_curve) = constants.T_s, constants.prediction
     value, rate, curve = state.predicted
     error = force - value
+    forgiving = FORGIVING * (1.0 - state.authority) * push(strain, ops)
+    watching = ops.minimum(constants.watching * (1.0 + forgiving), 0.5)
     value, rate, curve = value + of_value * error, rate + of_rate * error, curve + of_curve * error
     return state._replace(
         predicted=(value + T_s * rate + 0.5 * T_s * T_s * curve, rate + T_s * curve, curve),
-        noise=state.noise + constants.watching * (error * error - state.noise),
+        noise=state.noise + watching * (error * error - state.noise),
         burst=state.burst + T_s / BURST * (error * error - state.burst),
     )
 

@@ -16,6 +16,7 @@ from jaxmpc.law.cascade import AxisState
 from jaxmpc.law.gains import Gains, GainSchedule, with_gain
 from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import Scalar
+from jaxmpc.law.stiffness import SILENT, Alarm
 
 
 def at(schedule: GainSchedule, log_stiffness: Scalar, ops: Ops) -> tuple[Gains, Scalar]:
@@ -43,7 +44,7 @@ def listen(
     tip: Scalar,
     wanted: Scalar,
     backed_off: Scalar,
-    elsewhere: Scalar,
+    anywhere: Alarm,
     ops: Ops,
 ) -> tuple[AxisState, Scalar, Scalar]:
     """Learn from one sample of the tissue, where there is a schedule.
@@ -55,7 +56,7 @@ def listen(
         tip: Measured displacement of the tip [m].
         wanted: Wanted force [N].
         backed_off: Share of the gain that a guard is taking back [-].
-        elsewhere: Largest doubt of any axis at the last sample [-].
+        anywhere: The `alarm` of all axes at the last sample.
         ops: Scalar functions.
 
     Returns:
@@ -64,17 +65,18 @@ def listen(
     if gains.schedule is None or axis.tissue is None:
         return axis, 0.0, 0.0
     constants = gains.schedule.identification
-    tissue = identification.step(constants, axis.tissue, force, tip, wanted, backed_off, elsewhere, ops)
+    tissue = identification.step(constants, axis.tissue, force, tip, wanted, backed_off, anywhere, ops)
     heard = identification.answer(constants, tissue)
     return axis._replace(tissue=tissue), identification.dither(constants, tissue), heard
 
 
-def doubt(axes: Iterable[AxisState], ops: Ops) -> Scalar:
-    """Largest doubt that any axis has of its tissue [-]; 0 without a schedule."""
-    found: Scalar = 0.0
+def alarm(axes: Iterable[AxisState], ops: Ops) -> Alarm:
+    """The most of any axis; 0 without a schedule."""
+    most = SILENT
     for axis in axes:
-        found = found if axis.tissue is None else ops.maximum(found, axis.tissue.doubt)
-    return found
+        if axis.tissue is not None:
+            most = Alarm(ops.maximum(most.doubt, axis.tissue.doubt), ops.maximum(most.strain, axis.tissue.strain))
+    return most
 
 
 def now(gains: Gains, K2: Scalar, axis: AxisState, ops: Ops) -> tuple[Gains, Scalar]:

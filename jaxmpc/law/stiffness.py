@@ -75,6 +75,8 @@ class StiffnessEstimate(NamedTuple):
     """The same over a few samples alone [N²]."""
     upset: Scalar
     """Mean square of the force's error [N²]."""
+    strain: Scalar
+    """The same over a longer time [N²]."""
     usual: Scalar
     """What of ⟨ε²⟩ has been learned to be usual [N²]: so much for `learned`, which is how much of it has been."""
     learned: Scalar
@@ -83,6 +85,23 @@ class StiffnessEstimate(NamedTuple):
     """How much of the time that the sine may sound is used up [-]."""
     trust: Scalar
     """Largest authority that the schedule may have, which falls where a guard took back gain that it had [-]."""
+    credit: Scalar
+    """How far the schedule may take back a control that doubt has taken, without hearing the tissue again [-]."""
+    proven: Scalar
+    """How surely the schedule has had all of the control for a while [-]."""
+
+
+class Alarm(NamedTuple):
+    """What one axis tells the others."""
+
+    doubt: Scalar
+    """How surely the tissue has changed [-]."""
+    strain: Scalar
+    """Mean square of the force's error over a longer time [N²]."""
+
+
+SILENT = Alarm(0.0, 0.0)
+"""Of axes that know of no others."""
 
 
 def unknown(constants: StiffnessIdentification, force: Scalar) -> StiffnessEstimate:
@@ -106,8 +125,11 @@ def unknown(constants: StiffnessIdentification, force: Scalar) -> StiffnessEstim
         noise=zero,
         burst=zero,
         upset=zero,
+        strain=zero,
         usual=zero,
         learned=zero,
         spent=zero,
         trust=1.0 + zero,
+        credit=zero,
+        proven=zero,
     )

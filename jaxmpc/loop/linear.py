@@ -6,6 +6,7 @@ from jaxmpc.law import cascade, schedule
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.ops import Ops
 from jaxmpc.law.scalar import plus
+from jaxmpc.law.stiffness import SILENT
 from jaxmpc.world import contact
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.quantise import quantise
@@ -85,7 +86,7 @@ def advance(
     clean, state = contact.sense(world, carry.contact, now.heart)
     force = quantise(clean + now.noise, lsb, ops)
     tip, true = state.x, contact.true_force(world, carry.contact, now.heart)
-    controller, dither, _ = schedule.listen(gains, carry.controller, force, tip, now.force_ref[0], 0.0, 0.0, ops)
+    controller, dither, _ = schedule.listen(gains, carry.controller, force, tip, now.force_ref[0], 0.0, SILENT, ops)
     known, K2 = schedule.now(gains, world.K2, controller, ops)
     controller, v = cascade.step(known, controller, force, tuple(plus(wanted, dither) for wanted in now.force_ref))
     state, a = contact.move(world._replace(K2=K2), state, v, now.acceleration)

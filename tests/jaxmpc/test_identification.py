@@ -15,12 +15,14 @@ from jaxmpc.law import identification
 from jaxmpc.law.belief import decide
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.ops import FLOATS
-from jaxmpc.law.stiffness import UNHEARD, unknown
+from jaxmpc.law.stiffness import SILENT, UNHEARD, unknown
 from jaxmpc.loop.linear import AxisSignals, advance, start
 from jaxmpc.stability.loop import contact_of
 
 FAMILY = Params.published("family")
 T_s = 1e-3
+EARLY, WIDTH = np.arange(12.0, 19.0, 1.58), 0.08
+"""When beats come early: every other one, as in bigeminy; for how long each pushes [s]."""
 
 
 def floats(tree: Any) -> Any:
@@ -52,12 +54,19 @@ def fly(gains: Gains) -> Callable[..., Flight]:
     )
     lsb = float(data.lsb[2])
 
-    def flight(stiffness: Callable[[float], float], seconds: float, law: Gains = gains) -> Flight:
-        """Z of Table I on the linear loop, in plain floats, with the tissue's stiffness a function of time [s]."""
+    def flight(stiffness: Callable[[float], float], seconds: float, law: Gains = gains, push: float = 0.0) -> Flight:
+        """Z of Table I on the linear loop, in plain floats, with the tissue's stiffness a function of time [s].
+
+        Beats come early at `EARLY`; a tip that stands still would be pushed by so much [N].
+        """
         world = floats(contact_of(stiffness(0.0), FAMILY.K2, experiment.loop_path()))
         carry, rows = start(law), []
         for k in range(round(seconds / T_s)):
-            now = AxisSignals(float(heart[k]), float(noise[k]), (float(wanted[k, 0]),), 1.0)
+            begun = (k * T_s - EARLY) / WIDTH
+            pushed = (
+                0.5 * push / stiffness(0.0) * np.sum(1.0 - np.cos(2.0 * np.pi * begun[(begun > 0.0) & (begun < 1.0)]))
+            )
+            now = AxisSignals(float(heart[k] + pushed), float(noise[k]), (float(wanted[k, 0]),), 1.0)
             world = world._replace(stiffness=stiffness(k * T_s))
             carry, sample = advance(law, world, lsb, carry, now, FLOATS)
             known = carry.controller.tissue
@@ -165,6 +174,16 @@ def test_a_tissue_that_stays_is_not_doubted(fly) -> None:
     assert np.all(flown.listening[6000:] == 0.0)
 
 
+@pytest.mark.parametrize(("stiffness", "push"), [(375.0, 2.0), (1250.0, 3.0)])
+def test_early_beats_in_a_row_take_the_control_for_moments_alone(fly, stiffness, push) -> None:
+    flown = fly(lambda t: stiffness, 20.0, push=push)
+    held = [flown.authority[round(beat / T_s) :] for beat in EARLY]
+    assert sum(np.min(after[:250]) < 0.2 for after in held) >= 3
+    assert all(np.min(after[900:1500]) == 1.0 for after in held)
+    # The sine hardly begins: with it, it would take seconds.
+    assert np.max(flown.listening[6000:]) < 0.2
+
+
 def test_tissue_that_damps_is_left_to_the_fixed_gains(gains) -> None:
     """Of 810 N/m with 2.5 N s/m: at 17 Hz the force leads by 0.33; known well, it still is no spring."""
     constants, omega = gains.schedule.identification, 2.0 * np.pi * 17.0
@@ -174,7 +193,7 @@ def test_tissue_that_damps_is_left_to_the_fixed_gains(gains) -> None:
         for k in range(8000):
             tip = 1e-4 * np.sin(omega * k * T_s)
             force = 810.0 * tip + viscosity * 1e-4 * omega * np.cos(omega * k * T_s)
-            state = identification.step(constants, state, force, tip, 0.0, 0.0, 0.0, FLOATS)
+            state = identification.step(constants, state, force, tip, 0.0, 0.0, SILENT, FLOATS)
             narrowest = min(narrowest, state.width)
         assert narrowest < 0.5 * constants.band
         return float(state.authority)
@@ -202,7 +221,7 @@ def test_a_sine_that_finds_nothing_goes_off_and_tries_again(gains, fly) -> None:
 
     constants, state, sounding = family.identification, unknown(family.identification, 0.0), []
     for _ in range(180_000):
-        state = decide(constants, state, 1.0, 0.0, 0.0, 0.0, FLOATS)
+        state = decide(constants, state, 1.0, 0.0, 0.0, SILENT, FLOATS)
         sounding.append(state.listening)
     heard = np.array(sounding[40_000:])
     assert 0.1 < np.mean(heard) < 0.25
@@ -215,14 +234,14 @@ def test_a_schedule_under_which_a_guard_took_gain_back_is_trusted_again_within_m
     constants = gains.schedule.identification
     state = unknown(constants, 0.0)._replace(authority=1.0)
     for _ in range(2000):
-        state = decide(constants, state, 810.0, 0.0, 0.5, 0.0, FLOATS)
+        state = decide(constants, state, 810.0, 0.0, 0.5, SILENT, FLOATS)
     assert state.authority == 0.0
     assert 0.2 < state.trust < 0.5
     # Known all the time: it never has more than it is trusted with.
     least = state.trust
     for _ in range(100_000):
         state = state._replace(width=0.0, heard=1.0, log_stiffness=np.log(810.0))
-        state = decide(constants, state, 810.0, 0.0, 0.0, 0.0, FLOATS)
+        state = decide(constants, state, 810.0, 0.0, 0.0, SILENT, FLOATS)
         assert state.authority <= state.trust
     assert state.trust == pytest.approx(1.0 - (1.0 - least) * np.exp(-100.0 / 150.0), rel=1e-3)
     assert state.authority == pytest.approx(state.trust, rel=1e-4)

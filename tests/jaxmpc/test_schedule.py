@@ -13,6 +13,7 @@ from jaxmpc.engine.base import scalars
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import cascade, schedule
 from jaxmpc.law.gains import Gains
+from jaxmpc.law.stiffness import SILENT
 from jaxmpc.stability.family import family_margins
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.world.loop_path import loop_path
@@ -184,10 +185,11 @@ def test_doubt_under_one_axis_takes_the_authority_from_all(gains: Gains) -> None
     assert axis.tissue is not None
     sure = axis._replace(tissue=axis.tissue._replace(authority=1.0))
     doubtful = axis._replace(tissue=axis.tissue._replace(doubt=2.0))
-    assert schedule.doubt((sure, doubtful, sure), ops) == 2.0
-    after, _, _ = schedule.listen(gains, sure, 0.0, 0.0, 0.0, 0.0, 2.0, ops)
+    alarm = schedule.alarm((sure, doubtful, sure), ops)
+    assert alarm == (2.0, 0.0)
+    after, _, _ = schedule.listen(gains, sure, 0.0, 0.0, 0.0, 0.0, alarm, ops)
     assert after.tissue is not None
     assert after.tissue.authority < 0.9
-    calm, _, _ = schedule.listen(gains, sure, 0.0, 0.0, 0.0, 0.0, 0.0, ops)
+    calm, _, _ = schedule.listen(gains, sure, 0.0, 0.0, 0.0, 0.0, SILENT, ops)
     assert calm.tissue is not None
     assert calm.tissue.authority == 1.0
