@@ -101,7 +101,7 @@ class Alarm(NamedTuple):
 
 
 SILENT = Alarm(0.0, 0.0)
-"""Of axes that know of no others."""
+"""An axis that knows of no others hears this."""
 
 
 def unknown(constants: StiffnessIdentification, force: Scalar) -> StiffnessEstimate:
