@@ -10,7 +10,7 @@ from deploy.safety.late_force import LATE, SAMPLES, late_step
 from deploy.safety.reasons import Reason
 from jaxmpc.law.identification import step
 from jaxmpc.law.ops import FLOATS
-from jaxmpc.law.stiffness import unknown
+from jaxmpc.law.stiffness import SILENT, unknown
 from tests.deploy.made import T_S, scheduled_gains
 
 CONSTANTS = scheduled_gains().schedule.identification
@@ -23,7 +23,7 @@ def heard(late: float, stiffness: float = 900.0, damping: float = 0.0, seconds: 
     for t in T_S * np.arange(round(seconds / T_S)):
         tip = 1e-4 * math.sin(OMEGA * t)
         force = 1e-4 * (stiffness * math.sin(OMEGA * (t - late)) + damping * OMEGA * math.cos(OMEGA * (t - late)))
-        state = step(CONSTANTS, state, force, tip, 0.0, 0.0, 0.0, FLOATS)
+        state = step(CONSTANTS, state, force, tip, 0.0, 0.0, SILENT, FLOATS)
         state = state._replace(listening=1.0)
     return state
 
