@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxmpc.pictures.experiment_figures import COLOURS
-from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure, outline
+from jaxmpc.pictures.figures import ACCENT, BASELINE, figure, outline
 from jaxmpc.quantities import AXES
 
 SHADES = {"approach": "#e8c468", "contact": "#9fd3c7", "retract": "#b8b8d1", "fault": ACCENT}
@@ -46,7 +46,7 @@ def recording_figure(
         clamped = (signals["clamped"][:, 0] > 0.0) & in_contact
         torques.plot(t[clamped], np.zeros(clamped.sum()), "|", color=ACCENT, ms=10.0, label=f"{clamped.sum()} clamped")
         torques.set_ylabel("torque [N m]")
-        guard.plot(*outline(t, signals["gain"][:, 0]), color=TUNED, lw=1.0, label="gain left by the guard")
+        guard.plot(*outline(t, signals["gain"][:, 0]), color="black", lw=1.0, label="gain left by the guard")
         guard.set_ylim(-0.05, 1.05)
         guard.set_ylabel("gain [-]")
         if "stiffness" in signals and np.any(signals["stiffness"] > 0.0):
@@ -55,12 +55,11 @@ def recording_figure(
                 believed.plot(t, signals["stiffness"][:, axis], color=colour, lw=0.8, label=f"K̂ {AXES[axis].upper()}")
             believed.set_ylabel("stiffness found [N/m]")
             believed.legend(loc="lower right", ncols=3)
+            _leave_room(believed)
         for panel in axes:
             _shade(panel, t, _state(signals, names), named=panel is panels[0])
             panel.set_xlim(t[0], t[-1])
-            # Room above the signals for the legend.
-            low, high = panel.get_ylim()
-            panel.set_ylim(low, high + 0.25 * (high - low))
+            _leave_room(panel)
             panel.legend(loc="upper right", ncols=6, borderaxespad=0.1, fontsize=8.0)
         for panel in axes[:-1]:
             panel.tick_params(labelbottom=False)
@@ -74,6 +73,12 @@ def _state(signals: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]
     numbers = np.nan_to_num(signals["state"][:, 0], nan=-1.0).astype(int)
     found: np.ndarray = known[np.where((numbers >= 0) & (numbers < len(known) - 1), numbers, -1)]
     return found
+
+
+def _leave_room(panel: Any) -> None:
+    """Room above the signals for the legend."""
+    low, high = panel.get_ylim()
+    panel.set_ylim(low, high + 0.25 * (high - low))
 
 
 def _shade(panel: Any, t: np.ndarray, state: np.ndarray, *, named: bool) -> None:
