@@ -89,7 +89,7 @@ def engine_rate(experiment: Any, dtype: str, size: int) -> tuple[float, float]:
     params = Params().with_columns({"Q_p": np.geomspace(0.3, 0.6, rows), "Khat_s": np.linspace(850.0, 950.0, rows)})
 
     def apart(p: Params) -> Any:
-        gains, K2, contacts, _ = close_loops(p, scene.stiffness, scene.path)
+        gains, K2, contacts, *_ = close_loops(p, scene.stiffness, scene.path)
         return gains, K2, contacts
 
     batch = jax.tree.map(np.asarray, jax.jit(apart)(params))

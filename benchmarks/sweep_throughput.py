@@ -59,7 +59,7 @@ def main() -> None:
     batch = Params().with_columns({"Q_p": np.geomspace(0.1, 1.0, rows), "Khat_s": np.linspace(800.0, 1000.0, rows)})
 
     def apart(p: Params) -> Any:
-        gains, _, contacts, _ = close_loops(p, scene.stiffness, scene.path)
+        gains, _, contacts, *_ = close_loops(p, scene.stiffness, scene.path)
         return scalars(gains, False), contacts
 
     peers = jax.tree.map(np.asarray, jax.jit(apart)(batch))

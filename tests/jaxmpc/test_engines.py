@@ -37,7 +37,7 @@ def test_what_an_engine_declares_it_can_differentiate(physics: str) -> None:
     experiment = changed(with_physics(BRIEF, physics), duration=0.003, settle=0.0)
     spec, data = program_spec(experiment), scenario_data(experiment)
     engine, params = ENGINES[spec.engine], jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], Params())
-    gains, K2, contacts, _ = jax.jit(close_loops)(params, data.stiffness, data.path)
+    gains, K2, contacts, *_ = jax.jit(close_loops)(params, data.stiffness, data.path)
 
     def residual(factor: Any) -> Any:
         scaled = gains._replace(input_gain=factor * gains.input_gain)

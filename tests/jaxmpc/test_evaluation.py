@@ -154,7 +154,7 @@ def residual(experiment: Experiment) -> Callable[[jax.Array], jax.Array]:
     def total(x: jax.Array) -> jax.Array:
         params = Params(**dict(zip(NAMES, jnp.exp(x), strict=True)))
         one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], params)
-        gains, _, contacts, _ = close_loops(one, scene.stiffness, scene.path)
+        gains, _, contacts, *_ = close_loops(one, scene.stiffness, scene.path)
         batch = scalars(gains, False), contacts
         return jnp.sum(over_cells(run, *batch, scene.lsb, scene.signals)[0].rms)
 
