@@ -28,8 +28,8 @@ RETURNING = 4.0
 EARNED, REGAINED = 10.0, 1.0
 """Rates at which credit grows while the sine tells the stiffness, and while the schedule has the control [1/s]."""
 FADING, LAPSING, LOST = 0.6, 3.0, 50.0
-"""Rates at which it goes while the schedule has not all of the control, so that the tissue is heard after two seconds
-at most; and in addition without a push, and after one that is too large [1/s]."""
+"""Rates at which it goes while the schedule has not all of the control, so that the tissue is heard after three
+seconds at most; and in addition without a push, and after one that is too large [1/s]."""
 SPENT, FORFEITED = 20.0, 800.0
 """Rates at which it goes while doubt takes the control away, and with nothing proven in addition [1/s]: the control is
 gone after some 7 ms."""

@@ -100,6 +100,13 @@ def test_a_schedule_that_proves_itself_between_beats_is_pardoned_every_time(run,
         assert state.listening == 0.0
 
 
+def test_a_doubt_that_does_not_end_has_the_tissue_heard(run, settled) -> None:
+    """Fixed gains on stiff tissue leave as much as a push, for ever: no schedule waits on its credit then."""
+    after = run(3500, settled, Alarm(2.0, BEAT), strain=BEAT)
+    assert after[-1].authority == 0.0
+    assert after[-1].listening == 1.0
+
+
 def test_without_trust_there_is_no_pardon(run, settled) -> None:
     """A guard took gain back under it."""
     after = run(500, upset(run, settled._replace(trust=0.4), BEAT), upset=0.0, strain=BEAT)
