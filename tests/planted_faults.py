@@ -67,7 +67,8 @@ def first_failure(root: Path, arguments: list[str]) -> str | None:
     if run.returncode == 0:
         return None
     told = [line for line in run.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
-    if run.returncode != 1 or not told:
+    # Several workers that stop at the first failure end as if interrupted, with 2.
+    if run.returncode not in (1, 2) or not told:
         raise SystemExit(f"pytest ended with {run.returncode}:\n{run.stdout[-2000:]}{run.stderr[-2000:]}")
     return told[0].partition(" ")[2]
 
