@@ -82,6 +82,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--params", nargs="+", default=["family"], help="published sets")
     parser.add_argument("--changes", nargs="+", default=list(KINDS), choices=[*KINDS, CONTACT_LOSS])
+    parser.add_argument("--columns", nargs="+", default=["changing", "before", "after"], help="which trials")
     args = parser.parse_args()
     controllers = tuple(map(Params.published, args.params))
     base = Experiment.published("table-1-wam")
@@ -93,6 +94,7 @@ def main() -> None:
             jobs = {
                 column: Changing(controllers, base, seed=args.seed, kind=kind, begins=begins, ends=ends)
                 for column, (begins, ends) in columns(kind).items()
+                if column in args.columns
             }
         for column, job in jobs.items():
             began = time.monotonic()

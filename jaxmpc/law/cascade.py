@@ -20,6 +20,12 @@ MPC and state feedback of the design for one sample are then given force and rat
 
 so that the loop has the poles of that design and one more at 0.
 
+Where a schedule moves the gains, g, L and what x̂ and p̂ stand for change in the middle of a motion, and limits may hold
+commands back besides. There the MPC begins each sample with the reference that has the inner loop go on from the command
+that was applied, with the gains of this sample; if neither gains nor command were changed, that is its own:
+
+    uₖ₋₁ = (vₖ₋₁ + L x̂ₖ₋₁ + p̂ₖ₋₁)/g
+
 Erratum: eq. (12) prints [C 1]; [C 0] is needed to obtain (33).
 Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain of 1 (Fig. 1 shows L₁).
 """
@@ -123,12 +129,25 @@ def step(gains: Gains, state: AxisState, force: Scalar, force_ref: Sequence[Scal
 
 def respond(gains: Gains, state: AxisState, force: Scalar, force_ref: Sequence[Scalar]) -> tuple[AxisState, Scalar]:
     """Advance one axis by one sample, with the filtered force yₖ [N]; else as `step`."""
+    if state.tissue is not None:
+        state = carried_on(gains, state)
     state = estimate(gains, state, force)
-    y, ydot, last = state.x_hat
-    if state.earlier is not None:
-        y, ydot = _moved(gains, y, ydot, state.earlier)
+    y, ydot = _delayed(gains, state)
     u = state.u - gains.mpc_x[0] * y - gains.mpc_x[1] * ydot - gains.mpc_u * state.u
     for weight, wanted in zip(gains.mpc_ref, force_ref, strict=True):
         u = u + weight * wanted
-    v = gains.input_gain * u - gains.L[0] * y - gains.L[1] * ydot - gains.L[2] * last - state.p_hat
+    v = gains.input_gain * u - gains.L[0] * y - gains.L[1] * ydot - gains.L[2] * state.x_hat[2] - state.p_hat
     return state._replace(u=u, v=v), v
+
+
+def _delayed(gains: Gains, state: AxisState) -> tuple[Scalar, Scalar]:
+    """Force [N] and force rate [N/s] that MPC and state feedback are given."""
+    y, ydot, _ = state.x_hat
+    return (y, ydot) if state.earlier is None else _moved(gains, y, ydot, state.earlier)
+
+
+def carried_on(gains: Gains, state: AxisState) -> AxisState:
+    """The state whose MPC goes on from the command that was applied, whatever the gains have been."""
+    y, ydot = _delayed(gains, state)
+    fed_back = gains.L[0] * y + gains.L[1] * ydot + gains.L[2] * state.x_hat[2] + state.p_hat
+    return state._replace(u=(state.v + fed_back) / gains.input_gain)

@@ -70,6 +70,22 @@ def test_authority_blends_the_fixed_gains_with_the_known_ones(gains: Gains, auth
     assert K2 == pytest.approx((1.0 - authority) * 48.4 + authority * known_K2)
 
 
+def test_where_gains_move_the_cascade_goes_on_from_the_command_that_was_applied(gains: Gains) -> None:
+    """With the gains that come, the command that the state stands for is the last one."""
+    moving = cascade.init(gains, -5.0)._replace(x_hat=(-4.2, 90.0, 12.0), p_hat=-3.0, u=-4.6, v=22.0)
+    kept, jumps = cascade.carried_on(gains, moving), []
+    assert float(cascade.carried_on(gains, kept).u) == pytest.approx(float(kept.u), rel=1e-12)
+    for authority in (0.0, 1.0):
+        tissue = moving.tissue._replace(log_stiffness=np.log(1900.0), authority=authority)
+        known, _ = schedule.now(gains, 48.4, moving._replace(tissue=tissue), ops)
+        gone_on = cascade.carried_on(known, moving)
+        fed_back = np.dot(known.L, gone_on.x_hat) + gone_on.p_hat
+        assert float(known.input_gain * gone_on.u - fed_back) == pytest.approx(22.0, rel=1e-12)
+        jumps.append(abs(known.input_gain * moving.u - fed_back - 22.0))
+    # Left as it was, the reference would have had one of the two laws ask for something else altogether.
+    assert max(jumps) > 50.0
+
+
 def test_without_a_schedule_nothing_is_touched() -> None:
     plain = scalars(design(Params()), preview=False)
     axis = cascade.init(plain, -5.0)
