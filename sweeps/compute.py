@@ -81,6 +81,11 @@ def round_of(plan: Plan) -> int:
     return block_of(plan) * jax.local_device_count()
 
 
+def compiles_long() -> bool:
+    """Whether a program takes so long to compile here, a kernel's, that it is to be begun before it is needed."""
+    return jax.default_backend() == "gpu"
+
+
 def baseline(plan: Plan) -> Outcome:
     """What the base controller comes to on the base experiment, (1, stiffness, …)."""
     site = _site(plan.spec_hash, plan)
@@ -155,9 +160,10 @@ _sites: dict[str, _Site] = {}
 
 
 def _site(spec_hash: str, plan: Plan) -> _Site:
-    """The site of a sweep; a process keeps the last one."""
+    """The site of a sweep; a process keeps the last two, since one may be readied while another runs."""
     if spec_hash not in _sites:
-        _sites.clear()
+        for oldest in [*_sites][:-1]:
+            del _sites[oldest]
         _sites[spec_hash] = _Site(plan)
     return _sites[spec_hash]
 

@@ -18,6 +18,9 @@ from sweeps.judged import worst
 from sweeps.plan import Columns, Plan
 from sweeps.undecided import IN_FLOAT64, undecided
 
+MANY = 50_000
+"""Rows of a sweep, some of which are near enough to each other or to a limit, whatever it is of."""
+
 
 @dataclass(frozen=True)
 class Decided:
@@ -63,9 +66,17 @@ def plan_in_float64(plan: Plan, columns: Mapping[str, np.ndarray]) -> Plan | Non
     if plan.canonical["precision"] == "float64" or not plan.goal.decide:
         return None
     places = undecided(plan, columns)[: plan.goal.decide]
-    if not len(places):
-        return None
-    space = {**plan.canonical["space"], "only": np.sort(columns["row"][places]).tolist()}
+    return _alone(plan, np.sort(columns["row"][places])) if len(places) else None
+
+
+def likely_in_float64(plan: Plan) -> Plan | None:
+    """One row in float64, by the program of all that will be; None unless there are so `MANY` rows that some will."""
+    decides = plan.canonical["precision"] == "float32" and plan.goal.decide and len(plan.rows) >= MANY
+    return _alone(plan, plan.rows[:1]) if decides else None
+
+
+def _alone(plan: Plan, rows: np.ndarray) -> Plan:
+    space = {**plan.canonical["space"], "only": rows.tolist()}
     return Plan({**plan.canonical, "precision": "float64", "space": space}, plan.files, plan.goal, plan.engine)
 
 

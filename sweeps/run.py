@@ -9,14 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxmpc.beside import Beside
 from jaxmpc.status import Status
 from jaxmpc.terminal.progress import Tick
 from jaxmpc.terminal.progress import progress as progress_of
 from sweeps import chunks, store
 from sweeps.chunks import StoredChunks
-from sweeps.compute import baseline, round_of
+from sweeps.compute import baseline, compiles_long, round_of
 from sweeps.crew import Alone, ComputedChunk, Crew
-from sweeps.decided import folder_of, plan_in_float64, with_decided
+from sweeps.decided import folder_of, likely_in_float64, plan_in_float64, with_decided
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.interrupt import gently
 from sweeps.judged import Point, baseline_of, keeps, worst
@@ -110,7 +111,10 @@ def run(
         # What this process has written it need not read.
         return Result.of(plan, *chunks.read_chunks(folder, plan, known=found))
 
-    result = computed(plan, folder, chunk)
+    with Beside(1) as beside:
+        if (ahead := _worth_readying(plan, folder, crew)) is not None:
+            beside.submit(baseline, ahead)
+        result = computed(plan, folder, chunk)
     if not result.complete:
         return result
     if (again := plan_in_float64(plan, result.columns)) is not None:
@@ -120,6 +124,12 @@ def run(
         columns, decided = with_decided(result.columns, again, found.columns)
         result = replace(result, columns=columns, decided=decided)
     return _finished(folder, result) if result.complete else result
+
+
+def _worth_readying(plan: Plan, folder: Path, crew: MakeCrew) -> Plan | None:
+    """What has the program compiled that runs rows once more, if it is to be while the first ones run."""
+    begun = (folder / "float64").is_dir()
+    return likely_in_float64(plan) if crew is Alone and compiles_long() and not begun else None
 
 
 def _keep(

@@ -21,8 +21,8 @@ MPC and state feedback of the design for one sample are then given force and rat
 so that the loop has the poles of that design and one more at 0.
 
 Where a schedule moves the gains, g, L and what x̂ and p̂ stand for change in the middle of a motion, and limits may hold
-commands back besides. There the MPC begins each sample with the reference that has the inner loop go on from the command
-that was applied, with the gains of this sample; if neither gains nor command were changed, that is its own:
+commands back besides. There the MPC begins each sample with the reference that has the inner loop go on, with the gains
+of this sample, from the command that was applied; its own, if neither was changed:
 
     uₖ₋₁ = (vₖ₋₁ + L x̂ₖ₋₁ + p̂ₖ₋₁)/g
 

@@ -1,5 +1,6 @@
 """What float32 cannot decide runs in float64: status and best rows are those of the whole sweep in float64."""
 
+import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import product
@@ -13,7 +14,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import METRICS
 from jaxmpc.status import Status
 from sweeps import crew
-from sweeps.compute import compute
+from sweeps.compute import baseline, compute
 from sweeps.decided import plan_in_float64, with_decided
 from sweeps.dry_run import dry_run
 from sweeps.goal import SweepGoal
@@ -215,6 +216,27 @@ def test_it_resumes_and_has_one_hash(tmp_path: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*.npz")}
     assert run(spec, folder).hash == found.hash
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.npz")} == before
+
+
+def test_what_takes_long_to_compile_is_readied_beside_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sweep = DATA["sweep"] | {"rows": 40}
+    spec = SweepSpec.from_dict(DATA | {"sweep": sweep})
+    plain, readied = run(spec, tmp_path / "plain"), []
+    module = importlib.import_module("sweeps.run")
+    monkeypatch.setattr(module, "compiles_long", lambda: True)
+    monkeypatch.setattr(module, "baseline", lambda plan: readied.append(plan) or baseline(plan))
+    assert run(spec, tmp_path / "few").hash == plain.hash
+    assert [plan.canonical["precision"] for plan in readied] == ["float32"]
+    readied.clear()
+    monkeypatch.setattr("sweeps.decided.MANY", 40)
+    assert run(spec, tmp_path / "many").hash == plain.hash
+    first, last = readied
+    assert (first.canonical["precision"], len(first.rows)) == ("float64", 1)
+    assert last.canonical["precision"] == "float32"
+    readied.clear()
+    assert plain.decided is not None
+    run(spec, tmp_path / "many")
+    assert not readied, "what has been run once more needs nothing"
 
 
 def test_the_most_important_run_where_they_are_too_many(spec: SweepSpec, single: Result, exact: Result) -> None:
