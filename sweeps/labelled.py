@@ -15,6 +15,7 @@ from jaxmpc.quantities import METRICS
 from jaxmpc.status import Status
 from sweeps.goal import MEASURED
 from sweeps.plan import Plan
+from sweeps.undecided import IN_FLOAT64
 
 if TYPE_CHECKING:
     import pandas
@@ -98,6 +99,7 @@ def to_xarray(result: Labelled) -> "xarray.Dataset":
         coordinates[name] = ("row", values, {"units": axis.unit})
     meanings = {status.name: int(status) for status in Status}
     variables: dict[str, Any] = {"status": (("row", tissue), columns["status"], meanings)}
+    variables[IN_FLOAT64] = ("row", columns[IN_FLOAT64], {"long_name": "whether it ran in float64"})
     for name in plan.kept:
         dimensions = ("row", tissue, "axis")[: 3 if name in METRICS else 2]
         row = MEASURED[name]
@@ -120,6 +122,7 @@ def _columns(result: Labelled) -> Iterator[tuple[str, str | None, np.ndarray]]:
     yield "stiffness", "N/m", result.tissues.ravel()
     names = np.array([status.name for status in Status])
     yield "status", None, names[columns["status"].astype(int).ravel()]
+    yield IN_FLOAT64, None, np.repeat(columns[IN_FLOAT64], tissues)
     for name in plan.kept:
         if name in METRICS:
             for i, letter in enumerate(AXES):

@@ -14,6 +14,7 @@ from sweeps.goal import MEASURED, SweepGoal, columns_kept
 from sweeps.reading import read_space, stiffness_set
 from sweeps.space import SweepSpace
 from sweeps.tables import OnError, Precision, RefineTable, SweepTable
+from sweeps.targets import OWN_FILTERS
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ class SweepSpec:
         limits = {} if table.constraints is None else {"constraints": table.constraints}
         goal = SweepGoal(table.best, decide=table.decide, **limits)
         space = read_space(table, params, experiment)
+        _check_filters(space, params)
         kept = columns_kept(table.columns, goal)
         spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)
         return replace(spec, refine=_refine(data["refine"], spec)) if "refine" in data else spec
@@ -116,6 +118,20 @@ class SweepSpec:
         from msgspec.structs import replace as changed
 
         return replace(self, space=changed(self.space, only=tuple(sorted(rows))))
+
+
+def _check_filters(space: SweepSpace, params: Params) -> None:
+    """Refuse a filter of the experiment that every row replaces by its own.
+
+    Raises:
+        InputError: Such a filter is swept.
+    """
+    swept = {axis.name for axis in space.axes}
+    for key, own in OWN_FILTERS.items():
+        if key in swept and (own in swept or getattr(params, own) is not None):
+            raise InputError(
+                f"sweep.axes.{key}", "swept", f"swept where the controller has no {own}", f"Sweep {own} instead."
+            )
 
 
 def _refine(data: Any, spec: SweepSpec) -> RefineTable:

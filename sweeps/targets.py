@@ -59,6 +59,10 @@ class Target(NamedTuple):
         return self.table == "experiment" and self.name.startswith((*SIGNALS, *_SUBSTEPS))
 
 
+OWN_FILTERS = {"velocity_lowpass": "velocity_cutoff", "sensor.kalman": "force_cutoff"}
+"""Filters of the experiment, and the parameters by which a controller brings its own in their place."""
+
+
 def known_names() -> list[str]:
     """Every name that an axis may have."""
     names = [*PARAMETERS, *STRUCTURAL]

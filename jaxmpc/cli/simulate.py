@@ -186,11 +186,12 @@ def _figures(
             [f"{frequency:.2f}", *(f"{newton:.2f} / {mm:.2f}" for newton, mm in zip(force, motion, strict=True))]
             for frequency, force, motion in zip(found.frequency, found.force.T, found.motion.T, strict=True)
         ]
-        show(
-            f"peaks of the disturbance, {experiment.stiffness[row]:g} N/m",
-            ("f Hz", "X N / mm", "Y N / mm", "Z N / mm"),
-            amplitudes,
-        )
+        if amplitudes:
+            show(
+                f"peaks of the disturbance, {experiment.stiffness[row]:g} N/m",
+                ("f Hz", "X N / mm", "Y N / mm", "Z N / mm"),
+                amplitudes,
+            )
         print(f"figure: {path}")
     return row
 

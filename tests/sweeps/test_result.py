@@ -105,6 +105,7 @@ def test_csv_holds_every_row_and_stiffness(finished: Finished, tmp_path: Path) -
     assert float(last["T_cl [s]"]) == result["T_cl"][-1]
     assert (float(last["stiffness [N/m]"]), last["status"]) == (1900.0, Status(result["status"][-1, 1]).name)
     assert float(last["rms_z [N]"]) == result["rms"][-1, 1, 2]
+    assert [row["in_float64"] == "True" for row in rows[::2]] == result["in_float64"].tolist()
     assert float(last["delay_margin_s [s]"]) == result["delay_margin_s"][-1, 1]
 
 
@@ -114,6 +115,7 @@ def test_xarray_has_dimensions_coordinates_and_units(finished: Finished) -> None
     data = result.to_xarray()
     assert data["rms"].dims == ("row", "stiffness", "axis")
     assert data["M_s"].dims == data["status"].dims == ("row", "stiffness")
+    assert data["in_float64"].values.tolist() == result["in_float64"].tolist()
     assert data.sizes == {"row": ROWS, "stiffness": 2, "axis": 3}
     known = {**METRICS, **MARGINS}
     assert {name: data[name].attrs["units"] for name in known} == {name: row.unit for name, row in known.items()}

@@ -197,6 +197,24 @@ def test_worlds_that_cannot_be_are_refused(axes: dict[str, object], words: list[
 GALLERY = sorted((Path(__file__).parents[2] / "docs" / "gallery").glob("*.toml"))
 
 
+@pytest.mark.parametrize(
+    ("params", "axes", "own"),
+    [
+        ({"velocity_cutoff": 90.0}, ("velocity_lowpass",), "velocity_cutoff"),
+        ({}, ("velocity_lowpass", "velocity_cutoff"), "velocity_cutoff"),
+        ({"force_cutoff": 900.0}, ("sensor.kalman",), "force_cutoff"),
+    ],
+)
+def test_a_filter_that_no_row_would_use_is_refused(params: dict[str, float], axes: tuple[str, ...], own: str) -> None:
+    data = {
+        "experiment": {"published": "table-1"},
+        "params": {"published": "text", **params},
+        "sweep": {"kind": "grid", "axes": {name: [90.0, 400.0] for name in axes}},
+    }
+    with pytest.raises(InputError, match=f"{axes[0]}.*Sweep {own} instead"):
+        SweepSpec.from_dict(data)
+
+
 @pytest.mark.parametrize("path", GALLERY, ids=[path.stem for path in GALLERY])
 def test_the_gallery_has_the_rows_that_it_says(path: Path) -> None:
     page = (path.parents[1] / "sweeps-gallery.md").read_text(encoding="utf-8")
