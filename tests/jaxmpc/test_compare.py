@@ -161,10 +161,7 @@ def test_a_force_that_leaves_the_frame_leaves_the_others_theirs() -> None:
 
 
 @pytest.mark.slow
-def test_a_comparison(
-    tuned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XLA_FLAGS", "--xla_force_host_platform_device_count=1")
+def test_a_comparison(tuned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "short.toml").write_text(SHORT)
     report = tmp_path / "out" / "compare.html"
     arguments = ["text", str(tuned), "--experiment", str(tmp_path / "short.toml"), "--seeds", "3", "-o", str(report)]
