@@ -10,6 +10,7 @@ Coefficients by Remez' exchange: 3.3e-9 and 2.2e-10 from the truth, less than a 
 from math import pi
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from jaxmpc.law.ops import Ops
@@ -28,13 +29,38 @@ COARSE = 3.140625
 """π to nine bits, so that a small multiple of it is exact in float32."""
 
 
+@jax.custom_jvp
+def _maximum(one: Any, other: Any) -> Any:
+    return jnp.maximum(one, other)
+
+
+@jax.custom_jvp
+def _minimum(one: Any, other: Any) -> Any:
+    return jnp.minimum(one, other)
+
+
+@_maximum.defjvp
+def _maximum_jvp(at: tuple[Any, Any], along: tuple[Any, Any]) -> tuple[Any, Any]:
+    # JAX halves both slopes where both are equal: six instructions for what any one of them answers as well.
+    return jnp.maximum(*at), jnp.where(at[0] >= at[1], *along)
+
+
+@_minimum.defjvp
+def _minimum_jvp(at: tuple[Any, Any], along: tuple[Any, Any]) -> tuple[Any, Any]:
+    return jnp.minimum(*at), jnp.where(at[0] <= at[1], *along)
+
+
+def _clip(value: Any, low: Any, high: Any) -> Any:
+    return _minimum(_maximum(value, low), high)
+
+
 class _Float64:
     """The functions of `jaxmpc.xla.ops`, whose precision plain numbers follow."""
 
     dtype: Any = jnp.float64
     sin, cos = staticmethod(jnp.sin), staticmethod(jnp.cos)
     sqrt, exp, log = staticmethod(ops.sqrt), staticmethod(ops.exp), staticmethod(ops.log)
-    maximum, minimum, clip = staticmethod(ops.maximum), staticmethod(ops.minimum), staticmethod(ops.clip)
+    maximum, minimum, clip = staticmethod(_maximum), staticmethod(_minimum), staticmethod(_clip)
     floor, replaced = staticmethod(ops.floor), staticmethod(ops.replaced)
 
     def where(self, condition: Any, this: Any, that: Any) -> Any:
@@ -44,18 +70,26 @@ class _Float64:
         return jnp.where(condition, this, that)
 
 
+@jax.custom_jvp
+def _sin(angle: Any) -> Any:
+    sign, r = _reduced(angle)
+    return sign * r * _even(SINE, r * r)
+
+
+@jax.custom_jvp
+def _cos(angle: Any) -> Any:
+    sign, r = _reduced(angle)
+    return sign * _even(COSINE, r * r)
+
+
+# Each has the other, which is there anyway, as its slope, and not that of a polynomial.
+_sin.defjvp(lambda at, along: (_sin(*at), _cos(*at) * along[0]))
+_cos.defjvp(lambda at, along: (_cos(*at), -_sin(*at) * along[0]))
+
+
 class _Float32(_Float64):
     dtype = jnp.float32
-
-    @staticmethod
-    def sin(angle: Any) -> Any:
-        sign, r = _reduced(angle)
-        return sign * r * _even(SINE, r * r)
-
-    @staticmethod
-    def cos(angle: Any) -> Any:
-        sign, r = _reduced(angle)
-        return sign * _even(COSINE, r * r)
+    sin, cos = staticmethod(_sin), staticmethod(_cos)
 
 
 def _reduced(angle: Any) -> tuple[Any, Any]:

@@ -14,6 +14,7 @@ from jax.extend.core import Literal
 
 from jaxmpc.engine.episode import STRETCH, Episode
 from jaxmpc.engine.lanes import Layout, Track, at_sample, unpacked
+from jaxmpc.engine.tangents import movable, only, pushed
 from jaxmpc.law.ops import Ops
 from jaxmpc.xla.cse import bind
 
@@ -24,6 +25,24 @@ class Shape(NamedTuple):
     lanes: int
     """Lanes of one program, a power of two."""
     warps: int
+    directions: int = 0
+    """Directions that one program differentiates along, beside one run that they share; 0 is the run alone."""
+
+
+class Directions(NamedTuple):
+    """What the constants are differentiated along."""
+
+    moving: tuple[bool, ...]
+    """Which of their leaves move."""
+    layout: Layout
+    """Of those."""
+    arrays: tuple[Any, ...]
+    """Tangents, one direction behind the other: a multiple of `Shape.directions`."""
+    count: int
+    """How many directions."""
+
+
+NOWHERE = Directions((), Layout(None, (0, 0, 0), (), ()), (), 0)
 
 
 def run_episodes(
@@ -34,20 +53,26 @@ def run_episodes(
     cut: Shape,
     constants: tuple[Any, ...],
     signals: Any,
+    along: Directions = NOWHERE,
     *,
     interpret: bool,
-) -> Any:
-    """What is left of each lane's episode; leaves (groups, tissues, controllers).
+) -> tuple[Any, Any]:
+    """What is left of each lane's episode, and its tangents.
 
     Args:
         episode: What is run.
         layout: Of the constants.
         track: Of the signals.
         ops: Scalar functions that Triton knows.
-        cut: Lanes and warps of a program.
+        cut: Lanes, warps and directions of a program.
         constants: One array per kind.
         signals: All groups' in one array.
+        along: What to differentiate along.
         interpret: Run it without a GPU, which is slow.
+
+    Returns:
+        What is left, leaves (groups, tissues, controllers); and the same with the directions in front, None for a leaf
+        that nothing moves.
 
     Raises:
         ValueError: There is more of something than 32 bits can count.
@@ -57,53 +82,89 @@ def run_episodes(
     blocks = pallas.cdiv(count, cut.lanes)
     scalar: Any = jax.eval_shape(lambda: jnp.zeros(cut.lanes, dtype))
     quick = not interpret and dtype == jnp.float32
+    parts = along.count // cut.directions if along.count else 1
+    own_moves = along.moving
 
     def begin(lane: Any) -> Any:
         return _as_lanes(episode.begin(lane, ops), scalar)
 
     def one(lane: Any, run: Any, now: Any) -> Any:
-        return episode.step(lane, run, now, ops)[0]
+        return _as_lanes(episode.step(lane, run, now, ops)[0], scalar)
+
+    def fold(lane: Any, run: Any) -> Any:
+        return _as_lanes(episode.fold(lane, run, ops), scalar)
+
+    def found(run: Any) -> Any:
+        return _as_lanes(episode.found(run), scalar)
+
+    example = jax.eval_shape(
+        lambda *arrays: unpacked(layout, arrays, 0, jnp.zeros(cut.lanes, jnp.int32)), *constants
+    )
+    like = jax.eval_shape(lambda lane: found(begin(lane)), example)
+    moves, found_moves = (), ()
+    if along.count:
+        met = jax.eval_shape(lambda array: episode.taken_apart(at_sample(track, array, 0, 0)), signals)
+        moves, found_moves = movable(begin, one, fold, found, own_moves, example, met)
 
     def kernel(*refs: Any) -> None:
-        *constant, signal, out = refs
-        group, block = pallas.program_id(1), pallas.program_id(0)
-        lane = block * cut.lanes + jnp.arange(cut.lanes, dtype=jnp.int32)
-        own = unpacked(layout, constant, group, jnp.minimum(lane, count - 1))
+        constant, tangent = refs[: len(constants)], refs[len(constants) : -2]
+        signal, out = refs[-2:]
+        part, group, block = pallas.program_id(2), pallas.program_id(1), pallas.program_id(0)
+        lane = jnp.minimum(block * cut.lanes + jnp.arange(cut.lanes, dtype=jnp.int32), count - 1)
+        own = unpacked(layout, constant, group, lane)
+        first = part * cut.directions
+        own_slopes = [unpacked(along.layout, tangent, group, lane, first + i) for i in range(cut.directions)]
 
-        def step(i: Any, run: Any) -> Any:
+        def step(i: Any, state: Any) -> Any:
             now = episode.taken_apart(at_sample(track, signal, group, i))
-            following = _with_reciprocals(one, own, run, now) if quick else one(own, run, now)
-            return _as_lanes(following, scalar)
 
-        def stretch(k: Any, run: Any) -> Any:
+            def following(own: Any, own_slopes: Any, state: Any, now: Any) -> Any:
+                run, slopes = state
+                along_all = [[*mine, *its] for mine, its in zip(own_slopes, slopes, strict=True)]
+                run, after = pushed(lambda own, run: one(own, run, now), (own, run), (*own_moves, *moves), along_all)
+                return run, [only(moves, each) for each in after]
+
+            if quick:
+                return _as_lanes(_with_reciprocals(following, own, own_slopes, state, now), scalar)
+            return _as_lanes(following(own, own_slopes, state, now), scalar)
+
+        def stretch(k: Any, state: Any) -> Any:
             first = k * STRETCH
-            run = jax.lax.fori_loop(first, jnp.minimum(first + STRETCH, track.steps), step, run)
-            return _as_lanes(episode.fold(own, run, ops), scalar)
+            run, slopes = jax.lax.fori_loop(first, jnp.minimum(first + STRETCH, track.steps), step, state)
+            along_all = [[*mine, *its] for mine, its in zip(own_slopes, slopes, strict=True)]
+            run, after = pushed(fold, (own, run), (*own_moves, *moves), along_all)
+            return _as_lanes((run, [only(moves, each) for each in after]), scalar)
 
+        begun, slopes = pushed(begin, (own,), own_moves, own_slopes)
+        state = _as_lanes((begun, [only(moves, each) for each in slopes]), scalar)
         stretches = -(-track.steps // STRETCH)
-        run = jax.lax.fori_loop(jnp.int32(0), jnp.int32(stretches), stretch, begin(own))
-        for row, value in enumerate(jax.tree.leaves(_as_lanes(episode.found(run), scalar))):
-            start = ((row * groups + group) * blocks + block) * cut.lanes
+        run, slopes = jax.lax.fori_loop(jnp.int32(0), jnp.int32(stretches), stretch, state)
+        left, after = pushed(found, (run,), moves, slopes)
+        values = [*jax.tree.leaves(left), *(slope for each in after for slope in only(found_moves, each))]
+        for row, value in enumerate(_as_lanes(values, scalar)):
+            start = (((part * rows + row) * groups + group) * blocks + block) * cut.lanes
             out[pallas.ds(start, cut.lanes)] = value
 
-    like = jax.eval_shape(
-        lambda *arrays: episode.found(begin(unpacked(layout, arrays, 0, jnp.zeros(cut.lanes, jnp.int32)))), *constants
-    )
-    rows = len(jax.tree.leaves(like))
-    most = max(rows * groups * blocks * cut.lanes, signals.size, *(array.size for array in constants))
+    leaves, tree = jax.tree.flatten(like)
+    rows = len(leaves) + cut.directions * sum(found_moves)
+    size = parts * rows * groups * blocks * cut.lanes
+    most = max(size, signals.size, *(array.size for array in (*constants, *along.arrays)))
     if most >= 2**31:
         raise ValueError(f"{most} numbers in an array of a kernel, which counts to 2³¹: run fewer controllers")
     call = pallas.pallas_call(
         kernel,
-        out_shape=jax.eval_shape(lambda: jnp.zeros(rows * groups * blocks * cut.lanes, dtype)),
-        grid=(blocks, groups),
+        out_shape=jax.eval_shape(lambda: jnp.zeros(size, dtype)),
+        grid=(blocks, groups, parts),
         compiler_params=triton.CompilerParams(num_warps=cut.warps, num_stages=1),
         interpret=interpret,
         name="episodes",
     )
-    found = call(*constants, signals).reshape(rows, groups, blocks * cut.lanes)[:, :, :count]
-    leaves = found.reshape(rows, groups, tissues, controllers)
-    return jax.tree.unflatten(jax.tree.structure(like), list(leaves))
+    flat = call(*constants, *along.arrays, signals).reshape(parts, rows, groups, blocks * cut.lanes)[..., :count]
+    values = flat.reshape(parts, rows, groups, tissues, controllers)
+    slopes = values[:, len(leaves) :].reshape(along.count, sum(found_moves), groups, tissues, controllers)
+    there = iter(jnp.moveaxis(slopes, 1, 0))
+    tangents = [next(there) if moves else None for moves in found_moves] or [None] * len(leaves)
+    return jax.tree.unflatten(tree, list(values[0, : len(leaves)])), tangents
 
 
 def _as_lanes(tree: Any, like: Any) -> Any:
@@ -114,26 +175,40 @@ def _as_lanes(tree: Any, like: Any) -> Any:
 def _with_reciprocals(function: Any, *arguments: Any) -> Any:
     """f(…), every quotient a/b as a · (1/b), whose last bit is the processor's: two instructions instead of eight."""
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
+    found = _evaluated(closed, (*closed.consts, *jax.tree.leaves(arguments)))
+    return jax.tree.unflatten(jax.tree.structure(shape), found)
+
+
+def _evaluated(closed: Any, inputs: Any) -> list[Any]:
     jaxpr = closed.jaxpr
-    inputs = (*closed.consts, *jax.tree.leaves(arguments))
     values: dict[Any, Any] = dict(zip((*jaxpr.constvars, *jaxpr.invars), inputs, strict=True))
     inverse: dict[Any, Any] = {}
 
     def value_of(var: Any) -> Any:
         return var.val if isinstance(var, Literal) else values[var]
 
+    def inverse_of(var: Any) -> Any:
+        # Each denominator is divided by but once; that of a plain number has no name.
+        name = id(var) if isinstance(var, Literal) else var
+        if name not in inverse:
+            inverse[name] = _reciprocal(value_of(var))
+        return inverse[name]
+
     for equation in jaxpr.eqns:
-        if equation.primitive.name == "div":
+        name, params = equation.primitive.name, equation.params
+        if name == "div":
             above, below = equation.invars
-            # Each denominator is divided by but once; that of a plain number has no name.
-            name = id(below) if isinstance(below, Literal) else below
-            if name not in inverse:
-                inverse[name] = _reciprocal(value_of(below))
-            found = [value_of(above) * inverse[name]]
+            found = [value_of(above) * inverse_of(below)]
+        elif name == "integer_pow" and params["y"] < 0:
+            # What the slope of a quotient asks for.
+            found = [inverse_of(equation.invars[0]) ** -params["y"]]
+        elif name == "custom_jvp_call":
+            within = params["call_jaxpr"]
+            found = _evaluated(within, (*within.consts, *map(value_of, equation.invars)))
         else:
             found = bind(closed, equation, value_of)
         values.update(zip(equation.outvars, found, strict=True))
-    return jax.tree.unflatten(jax.tree.structure(shape), [value_of(var) for var in jaxpr.outvars])
+    return [value_of(var) for var in jaxpr.outvars]
 
 
 def _reciprocal(value: Any) -> Any:
