@@ -38,7 +38,7 @@ class Directions(NamedTuple):
     """Of those."""
     arrays: tuple[Any, ...]
     """Tangents, one direction behind the other: a multiple of `Shape.directions`."""
-    count: int
+    size: int
     """How many directions."""
 
 
@@ -71,8 +71,8 @@ def run_episodes(
         interpret: Run it without a GPU, which is slow.
 
     Returns:
-        What is left, leaves (groups, tissues, controllers); and the same with the directions in front, None for a leaf
-        that nothing moves.
+        What is left, leaves (groups, tissues, controllers); and along directions the tangent of each leaf with these in
+        front, None where nothing moves it.
 
     Raises:
         ValueError: There is more of something than 32 bits can count.
@@ -82,7 +82,7 @@ def run_episodes(
     blocks = pallas.cdiv(count, cut.lanes)
     scalar: Any = jax.eval_shape(lambda: jnp.zeros(cut.lanes, dtype))
     quick = not interpret and dtype == jnp.float32
-    parts = along.count // cut.directions if along.count else 1
+    parts = along.size // cut.directions if along.size else 1
     own_moves = along.moving
 
     def begin(lane: Any) -> Any:
@@ -97,12 +97,11 @@ def run_episodes(
     def found(run: Any) -> Any:
         return _as_lanes(episode.found(run), scalar)
 
-    example = jax.eval_shape(
-        lambda *arrays: unpacked(layout, arrays, 0, jnp.zeros(cut.lanes, jnp.int32)), *constants
-    )
+    example = jax.eval_shape(lambda *arrays: unpacked(layout, arrays, 0, jnp.zeros(cut.lanes, jnp.int32)), *constants)
     like = jax.eval_shape(lambda lane: found(begin(lane)), example)
-    moves, found_moves = (), ()
-    if along.count:
+    moves: tuple[bool, ...] = ()
+    found_moves: tuple[bool, ...] = ()
+    if along.size:
         met = jax.eval_shape(lambda array: episode.taken_apart(at_sample(track, array, 0, 0)), signals)
         moves, found_moves = movable(begin, one, fold, found, own_moves, example, met)
 
@@ -161,9 +160,9 @@ def run_episodes(
     )
     flat = call(*constants, *along.arrays, signals).reshape(parts, rows, groups, blocks * cut.lanes)[..., :count]
     values = flat.reshape(parts, rows, groups, tissues, controllers)
-    slopes = values[:, len(leaves) :].reshape(along.count, sum(found_moves), groups, tissues, controllers)
+    slopes = values[:, len(leaves) :].reshape(along.size, sum(found_moves), groups, tissues, controllers)
     there = iter(jnp.moveaxis(slopes, 1, 0))
-    tangents = [next(there) if moves else None for moves in found_moves] or [None] * len(leaves)
+    tangents = [next(there) if each else None for each in found_moves]
     return jax.tree.unflatten(tree, list(values[0, : len(leaves)])), tangents
 
 

@@ -86,7 +86,9 @@ def pushed(
 
     def of_moving(*live: Any) -> Any:
         there = iter(live)
-        return function(*jax.tree.unflatten(tree, [next(there) if m else x for x, m in zip(leaves, moving, strict=True)]))
+        return function(
+            *jax.tree.unflatten(tree, [next(there) if m else x for x, m in zip(leaves, moving, strict=True)])
+        )
 
     found, slope = jax.linearize(of_moving, *only(moving, leaves))
     return found, [jax.tree.leaves(slope(*each)) for each in directions]
