@@ -3,7 +3,8 @@
 Rows are the run alone, one tangent with it, and the gradient by eight parameters: eight tangents, so many to a
 program as its shape says (lanes x warps x directions). `--scan` adds the gradient in reverse mode through the scan,
 which holds what a loop carries at every sample: 512 controllers of the arm are 3 GB. Design is not in the figures:
-its tangents are made before.
+its tangents are made before. `--check` holds the gradient in float32 against central differences in float64, without
+counts and saturation, whose slope is straight-through on purpose.
 """
 
 import argparse
@@ -30,6 +31,7 @@ def main() -> None:
     parser.add_argument("--shapes", nargs="+", metavar="LANESxWARPSxDIRECTIONS", help="of the kernel with tangents")
     parser.add_argument("--controllers", type=int, nargs="+", help="how many, times three stiffnesses")
     parser.add_argument("--scan", action="store_true", help="the reverse mode through the scan too; few controllers")
+    parser.add_argument("--check", action="store_true", help="the gradient against differences in float64 too")
     args = parser.parse_args()
     import jax
 
@@ -40,6 +42,8 @@ def main() -> None:
     for physics in args.physics:
         for batch in args.controllers or (32768,):
             rows += compared(physics, batch, args.shapes or SHAPES[physics], args.scan)
+        if args.check:
+            checked(physics)
     if args.out:
         device = jax.devices()[0].device_kind
         said = {"device": device, "jax": jax.__version__, "date": time.strftime("%Y-%m-%d"), "rows": rows}
@@ -119,8 +123,56 @@ def compared(physics: str, batch: int, shapes: Any, with_scan: bool) -> list[dic
     return found
 
 
-def controllers(batch: int, data: Any) -> tuple[Any, Any]:
-    """Closed loops of a batch, and their tangents by the logarithm of each of eight parameters, these in front."""
+def checked(physics: str, batch: int = 256, step: float = 1e-4) -> None:
+    """Say how far the gradient of the mean RMS is off, each controller's by its largest component."""
+    import jax
+    import msgspec
+
+    from jaxmpc import Experiment
+    from jaxmpc.engine.registry import ENGINES
+    from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
+
+    base = Experiment.published("table-1" if physics == "linear" else "table-1-wam")
+    none = (0.0,) * 4
+    arm = {"encoder_counts": 0, "torque_lsb": 0.0, "torque_limit": (200.0,) * 4}
+    arm |= {"joint_torque_limit": none, "torque_step_limit": none}
+    quiet: dict[str, Any] = {"arm": msgspec.structs.replace(base.arm, **arm)} if physics == "wam" else {}
+    sensor = msgspec.structs.replace(base.sensor, lsb=(0.0, 0.0, 0.0))
+    short = msgspec.structs.replace(base, duration=SECONDS[physics], settle=1.0, sensor=sensor, **quiet)
+    experiment = with_physics(short, physics)
+    spec, data = program_spec(experiment), scenario_data(experiment)
+    closed, logs = drawn(batch, data)
+
+    def mean(logs: Any, dtype: str) -> Any:
+        loops = closed(logs)
+        found = ENGINES["kernel"].simulate(spec, loops.gains, loops.K2, loops.contacts, data, dtype)
+        return found.metrics.rms.mean(axis=(1, 2))
+
+    def slope(logs: Any, direction: Any) -> Any:
+        return jax.jvp(lambda logs: mean(logs, "float32"), (logs,), (direction,))[1]
+
+    try:
+        found = np.asarray(jax.jit(jax.vmap(slope, in_axes=(None, 0)))(logs, directions(batch)), float)
+        exact = jax.jit(lambda logs: mean(logs, "float64"))
+        wanted = np.stack(
+            [
+                np.asarray((exact(logs + step * row) - exact(logs - step * row)) / (2.0 * step))
+                for row in directions(batch)
+            ]
+        )
+    except Exception:
+        print(f"{physics:<7}check failed:", flush=True)
+        traceback.print_exc(limit=-4)
+        return
+    off = np.abs(found - wanted).max(axis=0) / np.abs(wanted).max(axis=0)
+    median, most = np.median(off), off.max()
+    print(
+        f"{physics:<7}gradient, float32, off by {median:.1e} in the median, {most:.1e} at most of {batch}", flush=True
+    )
+
+
+def drawn(batch: int, data: Any) -> tuple[Callable[[Any], Any], Any]:
+    """Closed loops by the logarithms of the parameters, and these of a batch, (parameters, batch); traceable."""
     import dataclasses
 
     import jax
@@ -131,18 +183,32 @@ def controllers(batch: int, data: Any) -> tuple[Any, Any]:
 
     random, text = np.random.default_rng(0), Params.published("text")
     values = np.stack([np.full(batch, float(getattr(text, name))) for name in NAMES])
-    logs = jnp.log(values * np.exp(random.uniform(-0.1, 0.1, values.shape)))
 
     def closed(logs: Any) -> Any:
         params = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (batch, *jnp.shape(leaf))), text)
         params = dataclasses.replace(params, **dict(zip(NAMES, jnp.exp(logs), strict=True)))
         return close_loops(params, data.stiffness, data.path)
 
-    def pushed(logs: Any, direction: Any) -> Any:
+    return closed, jnp.log(values * np.exp(random.uniform(-0.1, 0.1, values.shape)))
+
+
+def directions(batch: int) -> Any:
+    """One parameter of all controllers each, (parameters, parameters, batch)."""
+    import jax.numpy as jnp
+
+    return jnp.broadcast_to(jnp.eye(len(NAMES))[:, :, None], (len(NAMES), len(NAMES), batch))
+
+
+def controllers(batch: int, data: Any) -> tuple[Any, Any]:
+    """Closed loops of a batch, and their tangents by the logarithm of each of eight parameters, these in front."""
+    import jax
+
+    closed, logs = drawn(batch, data)
+
+    def pushed(direction: Any) -> Any:
         return jax.jvp(closed, (logs,), (direction,))
 
-    directions = jnp.broadcast_to(jnp.eye(len(NAMES))[:, :, None], (len(NAMES), *values.shape))
-    both: tuple[Any, Any] = jax.jit(jax.vmap(pushed, in_axes=(None, 0), out_axes=(None, 0)))(logs, directions)
+    both: tuple[Any, Any] = jax.jit(jax.vmap(pushed, out_axes=(None, 0)))(directions(batch))
     return both
 
 

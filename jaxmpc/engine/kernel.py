@@ -23,11 +23,11 @@ from jaxmpc.xla import ops
 ARM, AXIS = Shape(64, 2), Shape(64, 1)
 """Lanes and warps of a program of the arm, and of the linear loop (measured)."""
 ARM_ALONG, AXIS_ALONG = Shape(64, 2, 2), Shape(64, 2, 4)
-"""The same of one that differentiates, and along how many directions at once."""
+"""Lanes, warps and directions of a program that differentiates."""
 
 
 class Kernel(Engine):
-    """One Pallas kernel around the same steps as the scan's; interpreted, and slow, where there is no GPU."""
+    """One Pallas kernel around the same steps as the scan's, and their tangents; interpreted, and slow, where there is no GPU."""
 
     name = "kernel"
     modes: ClassVar[tuple[Mode, ...]] = ("forward",)
