@@ -27,7 +27,7 @@ ARM_ALONG, AXIS_ALONG = Shape(64, 2, 2), Shape(64, 2, 4)
 
 
 class Kernel(Engine):
-    """One Pallas kernel around the same steps as the scan's, and their tangents; interpreted, and slow, where there is no GPU."""
+    """One Pallas kernel around the scan's steps and their tangents; interpreted, and slow, where there is no GPU."""
 
     name = "kernel"
     modes: ClassVar[tuple[Mode, ...]] = ("forward",)
