@@ -35,7 +35,7 @@ class Directions(NamedTuple):
     moving: tuple[bool, ...]
     """Which of their leaves move."""
     layout: Layout
-    """Of those."""
+    """Where those lie."""
     arrays: tuple[Any, ...]
     """Tangents, one direction behind the other: a multiple of `Shape.directions`."""
     size: int
@@ -83,7 +83,6 @@ def run_episodes(
     scalar: Any = jax.eval_shape(lambda: jnp.zeros(cut.lanes, dtype))
     quick = not interpret and dtype == jnp.float32
     parts = along.size // cut.directions if along.size else 1
-    own_moves = along.moving
 
     def begin(lane: Any) -> Any:
         return _as_lanes(episode.begin(lane, ops), scalar)
@@ -97,13 +96,20 @@ def run_episodes(
     def found(run: Any) -> Any:
         return _as_lanes(episode.found(run), scalar)
 
+    def moved_on(function: Any, own: Any, own_slopes: Any, state: Any) -> Any:
+        """f(lane, carried), and along each direction what moves of it."""
+        run, slopes = state
+        joined = [[*mine, *its] for mine, its in zip(own_slopes, slopes, strict=True)]
+        run, after = pushed(function, (own, run), (*along.moving, *moves), joined)
+        return run, [only(moves, each) for each in after]
+
     example = jax.eval_shape(lambda *arrays: unpacked(layout, arrays, 0, jnp.zeros(cut.lanes, jnp.int32)), *constants)
     like = jax.eval_shape(lambda lane: found(begin(lane)), example)
     moves: tuple[bool, ...] = ()
     found_moves: tuple[bool, ...] = ()
     if along.size:
         met = jax.eval_shape(lambda array: episode.taken_apart(at_sample(track, array, 0, 0)), signals)
-        moves, found_moves = movable(begin, one, fold, found, own_moves, example, met)
+        moves, found_moves = movable(begin, one, fold, found, along.moving, example, met)
 
     def kernel(*refs: Any) -> None:
         constant, tangent = refs[: len(constants)], refs[len(constants) : -2]
@@ -118,23 +124,17 @@ def run_episodes(
             now = episode.taken_apart(at_sample(track, signal, group, i))
 
             def following(own: Any, own_slopes: Any, state: Any, now: Any) -> Any:
-                run, slopes = state
-                along_all = [[*mine, *its] for mine, its in zip(own_slopes, slopes, strict=True)]
-                run, after = pushed(lambda own, run: one(own, run, now), (own, run), (*own_moves, *moves), along_all)
-                return run, [only(moves, each) for each in after]
+                return moved_on(lambda own, run: one(own, run, now), own, own_slopes, state)
 
-            if quick:
-                return _as_lanes(_with_reciprocals(following, own, own_slopes, state, now), scalar)
-            return _as_lanes(following(own, own_slopes, state, now), scalar)
+            given = own, own_slopes, state, now
+            return _as_lanes(_with_reciprocals(following, *given) if quick else following(*given), scalar)
 
         def stretch(k: Any, state: Any) -> Any:
             first = k * STRETCH
-            run, slopes = jax.lax.fori_loop(first, jnp.minimum(first + STRETCH, track.steps), step, state)
-            along_all = [[*mine, *its] for mine, its in zip(own_slopes, slopes, strict=True)]
-            run, after = pushed(fold, (own, run), (*own_moves, *moves), along_all)
-            return _as_lanes((run, [only(moves, each) for each in after]), scalar)
+            state = jax.lax.fori_loop(first, jnp.minimum(first + STRETCH, track.steps), step, state)
+            return _as_lanes(moved_on(fold, own, own_slopes, state), scalar)
 
-        begun, slopes = pushed(begin, (own,), own_moves, own_slopes)
+        begun, slopes = pushed(begin, (own,), along.moving, own_slopes)
         state = _as_lanes((begun, [only(moves, each) for each in slopes]), scalar)
         stretches = -(-track.steps // STRETCH)
         run, slopes = jax.lax.fori_loop(jnp.int32(0), jnp.int32(stretches), stretch, state)
@@ -162,7 +162,7 @@ def run_episodes(
     values = flat.reshape(parts, rows, groups, tissues, controllers)
     slopes = values[:, len(leaves) :].reshape(along.size, sum(found_moves), groups, tissues, controllers)
     there = iter(jnp.moveaxis(slopes, 1, 0))
-    tangents = [next(there) if each else None for each in found_moves]
+    tangents = [next(there) if each else None for each in found_moves or [False] * len(leaves)]
     return jax.tree.unflatten(tree, list(values[0, : len(leaves)])), tangents
 
 
