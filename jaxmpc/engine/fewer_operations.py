@@ -28,7 +28,7 @@ class Inverses(NamedTuple):
 
 
 def lean(function: Callable[..., Any], inverses: Inverses, constants: Any, *others: Any) -> Any:
-    """f(constants, …) in fewer instructions.
+    """f(constants, …) in fewer instructions; what is left has no slopes, so f takes those that are wanted itself.
 
     Args:
         function: Traceable, of array leaves alone, with the functions of `lane_ops` for float32.

@@ -62,13 +62,23 @@ def _cos(angle: Any) -> Any:
     return _lane_cosine(angle)
 
 
-_sin.defjvp(lambda primals, tangents: (_lane_sine(*primals), _lane_cosine(*primals) * tangents[0]))
-_cos.defjvp(lambda primals, tangents: (_lane_cosine(*primals), -_lane_sine(*primals) * tangents[0]))
+# Each has the other, which is there anyway, as its slope, and not that of a polynomial.
+_sin.defjvp(lambda at, along: (_sin(*at), _cos(*at) * along[0]))
+_cos.defjvp(lambda at, along: (_cos(*at), -_sin(*at) * along[0]))
 
 
 @jax.jit
 def _lane_near(angle: Any, other: Any) -> Any:
     return angle
+
+
+@jax.custom_jvp
+def _near(angle: Any, other: Any) -> Any:
+    return _lane_near(angle, other)
+
+
+# Whatever the other angle does, this one stays what it is; and of a tangent nobody takes the sine.
+_near.defjvp(lambda at, along: (_near(*at), along[0]))
 
 
 def sines(angle: Any) -> tuple[Any, Any]:
@@ -100,6 +110,31 @@ def _even(coefficients: tuple[float, ...], square: Any) -> Any:
     return total
 
 
+@jax.custom_jvp
+def _maximum(one: Any, other: Any) -> Any:
+    return jnp.maximum(one, other)
+
+
+@jax.custom_jvp
+def _minimum(one: Any, other: Any) -> Any:
+    return jnp.minimum(one, other)
+
+
+@_maximum.defjvp
+def _maximum_jvp(at: tuple[Any, Any], along: tuple[Any, Any]) -> tuple[Any, Any]:
+    # JAX halves both slopes where both are equal: six instructions for what any one of them answers as well.
+    return jnp.maximum(*at), jnp.where(at[0] >= at[1], *along)
+
+
+@_minimum.defjvp
+def _minimum_jvp(at: tuple[Any, Any], along: tuple[Any, Any]) -> tuple[Any, Any]:
+    return jnp.minimum(*at), jnp.where(at[0] <= at[1], *along)
+
+
+def _clip(value: Any, low: Any, high: Any) -> Any:
+    return _minimum(_maximum(value, low), high)
+
+
 class _Float64:
     """The functions of `jaxmpc.xla.ops`, whose precision plain numbers follow."""
 
@@ -107,7 +142,7 @@ class _Float64:
     sin: Any = staticmethod(jnp.sin)
     cos: Any = staticmethod(jnp.cos)
     sqrt, exp, log = staticmethod(ops.sqrt), staticmethod(ops.exp), staticmethod(ops.log)
-    maximum, minimum, clip = staticmethod(ops.maximum), staticmethod(ops.minimum), staticmethod(ops.clip)
+    maximum, minimum, clip = staticmethod(_maximum), staticmethod(_minimum), staticmethod(_clip)
     floor, replaced = staticmethod(ops.floor), staticmethod(ops.replaced)
     near: Any = staticmethod(ops.near)
 
@@ -121,7 +156,7 @@ class _Float64:
 class _Float32(_Float64):
     dtype = jnp.float32
 
-    sin, cos, near = staticmethod(_sin), staticmethod(_cos), staticmethod(_lane_near)
+    sin, cos, near = staticmethod(_sin), staticmethod(_cos), staticmethod(_near)
 
 
 _BY_PRECISION: dict[Any, Ops] = {jnp.dtype(kind.dtype): kind() for kind in (_Float32, _Float64)}

@@ -1,7 +1,8 @@
 """A traced program as a web of operations, in which those that are equal are one.
 
 Functions that are called are taken apart. A quotient is a product with a reciprocal, and of two choices by the same
-condition, between something and 1, that are divided by each other one is left.
+condition, between something and 1, that are divided by each other one is left. A whole power is a product, of
+reciprocals if it is negative.
 """
 
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from jax.extend.core import Literal
 from jaxmpc.engine import lane_ops
 
 SUMS = ("add", "neg", "sub")
+ARITHMETIC = (*SUMS, "add_any", "div", "integer_pow", "mul", "sqrt")
 COMMUTING = ("add", "max", "min", "mul")
 CALLS = ("jit", "pjit", "custom_jvp_call")
 SINES = (lane_ops.SINE, lane_ops.COSINE)
@@ -104,14 +106,32 @@ class Web:
             if called == lane_ops.NEAR and found[0] != operands[1]:
                 self.near[found[0]] = operands[1]
             return found
-        if name in (*SUMS, "mul", "div", "sqrt") and jnp.issubdtype(equation.outvars[0].aval.dtype, jnp.floating):
-            arithmetic = {"mul": self._product, "div": self._quotient}.get(name)
-            return [arithmetic(*operands) if arithmetic else self._at(name, tuple(operands))]
+        if name in ARITHMETIC and params.get("y") != 0 and jnp.issubdtype(equation.outvars[0].aval.dtype, jnp.floating):
+            return [self._arithmetic(name, operands, params)]
         # Two programs may read the same and be different ones.
         place = self._at(name, tuple(operands), str(params) if inner is None else id(equation), equation)
         if not equation.primitive.multiple_results:
             return [place]
         return [self._at("part", (place,), i) for i in range(len(equation.outvars))]
+
+    def _arithmetic(self, name: str, operands: list[int], params: Any) -> int:
+        if name == "mul":
+            return self._product(*operands)
+        if name == "div":
+            return self._quotient(*operands)
+        if name == "integer_pow":
+            return self._power(operands[0], params["y"])
+        # Tangents are added by a name of their own.
+        return self._at("add" if name == "add_any" else name, tuple(operands))
+
+    def _power(self, base: int, exponent: int) -> int:
+        """A power whose exponent is not 0; the slope of a quotient asks for negative ones."""
+        if exponent < 0:
+            return self._power(self._at("inverse", (base,)), -exponent)
+        if exponent == 1:
+            return base
+        even = self._power(self._product(base, base), exponent // 2)
+        return self._product(even, base) if exponent % 2 else even
 
     def _product(self, one: int, other: int) -> int:
         if self.equals(one, 1.0):

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxmpc.engine.fewer_operations import Inverses, lean
 from jaxmpc.engine.lane_ops import lane_ops, sines, turned
+from jaxmpc.engine.tangents import pushed
 
 EXACT = Inverses(lambda value: 1.0 / value, jnp.sqrt)
 OPS = lane_ops(jnp.float32)
@@ -54,6 +55,58 @@ def test_quotients_become_products() -> None:
     found = lean(function, Inverses(reciprocal, jnp.sqrt), C, X, Y)
     jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-6), found, function(C, X, Y))
     assert len(asked) == 2
+
+
+def test_slopes_of_quotients_become_products_too() -> None:
+    """The slope of 1/x asks for x⁻², and what has a rule of its own is seen into."""
+    asked = []
+
+    def reciprocal(value: Any) -> Any:
+        asked.append(value)
+        return 1.0 / value
+
+    @jax.custom_jvp
+    def ruled(x: Any) -> Any:
+        return 1.0 / x
+
+    ruled.defjvp(lambda at, along: (ruled(*at), along[0]))
+
+    def function(x: Any) -> Any:
+        return jax.jvp(lambda x: 2.0 / x, (x,), (jnp.ones_like(x),)), ruled(x + 1.0), x**-3, x**5, x**0
+
+    found, wanted = lean(function, Inverses(reciprocal, jnp.sqrt), Y), function(Y)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-6), found, wanted)
+    assert len(asked) == 2
+
+
+def test_what_is_linearised_stays_what_it_is() -> None:
+    """Along two directions, with ties of the extremes, a choice, a sign, a root, sines and tangents that are added."""
+
+    def function(c: Any, x: Any, y: Any) -> Any:
+        extremes = OPS.maximum(x, c) * OPS.minimum(y, x + y - x) - OPS.clip(x * y, -c, c)
+        chosen = OPS.where(x > 0.0, x / (y + c), abs(x)) + OPS.sqrt(x * x + y) * jnp.sign(x) * y**-2
+        turned = OPS.sin(OPS.near(x + 0.01 * y, x)) * OPS.cos(x) + OPS.exp(x) * OPS.log(y)
+        return extremes, chosen, turned, OPS.floor(x * y), OPS.replaced(x, y)
+
+    along = [[1.0 * X, 2.0 * Y], [C, X]]
+
+    def linearised(c: Any, along: Any, x: Any, y: Any) -> Any:
+        return pushed(function, (c, x, y), (False, True, True), along)
+
+    for x, y in ((X, Y), (C, C), (-C, Y)):
+        check_same(linearised, C, along, x, y)
+    left = operations(linearised, C, along, X, Y)
+    assert not left.keys() & {"add_any", "integer_pow", "custom_jvp_call", "jit", "pjit"}
+    assert left["shift_left"] == 1
+
+
+def test_an_angle_near_another_has_its_own_slope() -> None:
+    for dtype in (jnp.float32, jnp.float64):
+        near = lane_ops(dtype).near
+        for function in (near, lambda *each, near=near: lean(near, EXACT, *each)):
+            x, y = X.astype(dtype), Y.astype(dtype)
+            np.testing.assert_array_equal(function(x, y), x)
+        np.testing.assert_array_equal(jax.jvp(near, (x, y), (y, x))[1], y)
 
 
 def test_a_choice_between_something_and_one_is_made_once() -> None:
