@@ -37,6 +37,10 @@ class Ops:
         return casadi.fmin(casadi.fmax(value, low), high)
 
     @staticmethod
+    def near(angle: Any, other: Any) -> Any:
+        return angle
+
+    @staticmethod
     def replaced(value: Any, new: Any) -> Any:
         return new
 

@@ -63,7 +63,7 @@ class ArmRuntime:
         self._control = control.function
         self._measure = compile_straightline(law.measure, (self._measured, _FOUR)).function
         self._predict = compile_straightline(law.predict, (self._axes, self._guard)).function
-        self._told = compile_straightline(law.told, (_THREE, _FOUR, law.jacobian, law.factors, _FOUR)).function
+        self._told = compile_straightline(law.told, (_THREE, _FOUR, law.lower, law.response, _FOUR)).function
         self._servo = compile_straightline(law.servo, (self._bristles, *seen, _THREE, _THREE)).function
         self._enter = compile_straightline(law.enter, (self._measured, _THREE, _THREE)).function
         self.gravity = compile_straightline(law.gravity, (_FOUR,)).function

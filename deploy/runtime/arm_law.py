@@ -16,8 +16,8 @@ _FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)
 class ArmLaw:
     """The functions of the tick, closed over a controller's constants."""
 
-    jacobian = ((0.0,) * 4,) * 3
-    factors = (((), (0.0,), (0.0,) * 2, (0.0,) * 3), (0.0,) * 4)
+    lower = ((), (0.0,), (0.0,) * 2, (0.0,) * 3)
+    response = ((0.0,) * 4,) * 3
 
     def __init__(self, controller: Controller, preview: bool) -> None:
         self.controller, self.preview = controller, preview
@@ -45,11 +45,11 @@ class ArmLaw:
         wanted = force_ref if self.preview else tuple((axis,) for axis in force_ref)
         state, command = force_control.respond(self.controller, state, force, wanted, OPS)
         found = command.torque
-        return state[1:], command.v, command.a, found.torque, (found.jacobian, found.factors)
+        return state[1:], command.v, command.a, found.torque, (found.lower, found.response)
 
-    def told(self, v: Any, wanted: Any, jacobian: Any, factors: Any, torque: Any) -> Any:
+    def told(self, v: Any, wanted: Any, lower: Any, response: Any, torque: Any) -> Any:
         """Commands and their change, as torques that were really sent tell them."""
-        return force_control.told(Command(JointTorque(wanted, jacobian, factors), v, ()), torque)
+        return force_control.told(Command(JointTorque(wanted, lower, response), v, ()), torque)
 
     def predict(self, axes: Any, guard: Any) -> Any:
         """Force that is expected to be measured next."""

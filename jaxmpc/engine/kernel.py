@@ -8,28 +8,29 @@ import jax.numpy as jnp
 
 from jaxmpc import swing
 from jaxmpc.engine.base import CellResults, Engine, Mode, ProgramSpec, ScenarioData, scalars
+from jaxmpc.engine.differentiable import Program, episodes
 from jaxmpc.engine.episode import ArmEpisode, ArmLane, AxisEpisode, AxisLane, on_tissues
-from jaxmpc.engine.lane_ops import lane_ops
-from jaxmpc.engine.lanes import packed, recorded
-from jaxmpc.engine.pallas_triton import Shape, run_episodes
+from jaxmpc.engine.forward_dynamics import implicit
+from jaxmpc.engine.pallas_triton import Shape
 from jaxmpc.engine.scan import Scan
 from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell
 from jaxmpc.metrics import Metrics, metrics, no_joints
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import Contact
-from jaxmpc.world.joint_acceleration import accelerate
 from jaxmpc.xla import ops
 
 ARM, AXIS = Shape(64, 2), Shape(64, 1)
 """Lanes and warps of a program of the arm, and of the linear loop (measured)."""
+ARM_ALONG, AXIS_ALONG = Shape(64, 2, 2), Shape(64, 2, 4)
+"""Lanes, warps and directions of a program that differentiates."""
 
 
 class Kernel(Engine):
-    """One Pallas kernel around the same steps as the scan's; interpreted, and slow, where there is no GPU."""
+    """One Pallas kernel around the scan's steps and their tangents; interpreted, and slow, where there is no GPU."""
 
     name = "kernel"
-    modes: ClassVar[tuple[Mode, ...]] = ()
+    modes: ClassVar[tuple[Mode, ...]] = ("forward",)
     devices = ("gpu",)
     traces = False
     text = "whole episodes in one kernel"
@@ -66,7 +67,7 @@ def _axes(gains: Gains, contacts: Contact, data: ScenarioData, dtype: Any) -> Ce
         swing.high_pass(contact.T_s, ops) if judged else None,
     )
     shape = len(signals.heart), *contact.T_s.shape
-    sums, extremes, diverged, over_limit = _run(AxisEpisode(), lane, shape, signals, AXIS, dtype)
+    sums, extremes, diverged, over_limit = _run(AxisEpisode(), lane, shape, signals, (AXIS, AXIS_ALONG), dtype)
     scored, late = _per_group(signals.score), _per_group(signals.late) if judged else None
     steps = signals.heart.shape[1]
     found = metrics(sums, extremes, scored, steps, late, no_joints(jnp.zeros_like(sums.error_squared)), ops)
@@ -87,8 +88,8 @@ def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: An
     lane = ArmLane(cell, data.force_limit, high_pass)
     motions, steps = signals.time.shape
     shape = motions, jnp.shape(data.stiffness)[-1], *jnp.shape(K2)
-    episode = ArmEpisode(ArmLoop(chain(), spec.robot, accelerate))
-    sums, extremes, joints, trouble = _run(episode, lane, shape, signals, ARM, dtype)
+    episode = ArmEpisode(ArmLoop(chain(), spec.robot, implicit))
+    sums, extremes, joints, trouble = _run(episode, lane, shape, signals, (ARM, ARM_ALONG), dtype)
     scored, late = jnp.sum(signals.score, axis=1), _per_group(signals.late) if judged else None
     axes = zip(sums, extremes, jnp.moveaxis(scored, 1, 0)[..., None, None], strict=True)
     each = [metrics(added, most, counted, steps, late, joints, ops) for added, most, counted in axes]
@@ -101,12 +102,9 @@ def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: An
     return CellResults(found, diverged, over_limit, lost_contact, backed_off, None)
 
 
-def _run(episode: Any, lane: Any, shape: Any, signals: Any, cut: Shape, dtype: Any) -> Any:
-    precision = jnp.dtype(dtype)
-    constants, layout = packed(lane, shape, precision)
-    row, track = recorded(signals, precision)
+def _run(episode: Any, lane: Any, shape: Any, signals: Any, cut: tuple[Shape, Shape], dtype: Any) -> Any:
     interpret = jax.default_backend() == "cpu"
-    return run_episodes(episode, layout, track, lane_ops(precision), cut, constants, row, interpret=interpret)
+    return episodes(Program(episode, shape, jnp.dtype(dtype), *cut, interpret), lane, signals)
 
 
 def _per_group(counts: Any) -> Any:

@@ -51,7 +51,7 @@ def packed(lane: Any, shape: tuple[int, int, int], dtype: Any) -> tuple[tuple[An
     return arrays, Layout(tree, shape, tuple(places), tuple(map(len, kinds)))
 
 
-def unpacked(layout: Layout, arrays: Any, group: Any, lane: Any) -> Any:
+def unpacked(layout: Layout, arrays: Any, group: Any, lane: Any, copy: Any = 0) -> Any:
     """The constants of some lanes of a group.
 
     Args:
@@ -59,6 +59,7 @@ def unpacked(layout: Layout, arrays: Any, group: Any, lane: Any) -> Any:
         arrays: The flat arrays, indexable by an integer or several.
         group: Which one.
         lane: Which of its lanes, one integer or several.
+        copy: Which, where each array holds several one behind the other.
     """
     controllers = layout.shape[2]
     own = group, lane // controllers, lane % controllers
@@ -67,7 +68,7 @@ def unpacked(layout: Layout, arrays: Any, group: Any, lane: Any) -> Any:
     leaves = []
     for kind, row in layout.places:
         lengths = [n for n, varies in zip(layout.shape, KINDS[kind], strict=True) if varies]
-        place: Any = row * prod(lengths)
+        place: Any = (copy * layout.rows[kind] + row) * prod(lengths)
         behind = prod(lengths)
         for index, length in zip((own[i] for i in range(3) if KINDS[kind][i]), lengths, strict=True):
             behind //= length

@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 from jax.experimental import pallas
 from jax.experimental.pallas import triton
-from jax.extend.core import Literal
 
 from jaxmpc.engine.episode import STRETCH, Episode
+from jaxmpc.engine.fewer_operations import Inverses, lean
 from jaxmpc.engine.lanes import Layout, Track, at_sample, unpacked
+from jaxmpc.engine.tangents import movable, only, pushed
 from jaxmpc.law.ops import Ops
-from jaxmpc.xla.cse import bind
 
 
 class Shape(NamedTuple):
@@ -24,6 +24,24 @@ class Shape(NamedTuple):
     lanes: int
     """Lanes of one program, a power of two."""
     warps: int
+    directions: int = 0
+    """Directions that one program differentiates along, beside one run that they share; 0 is the run alone."""
+
+
+class Directions(NamedTuple):
+    """What the constants are differentiated along."""
+
+    moving: tuple[bool, ...]
+    """Which of their leaves move."""
+    layout: Layout
+    """Where those lie."""
+    arrays: tuple[Any, ...]
+    """Tangents, one direction behind the other: a multiple of `Shape.directions`."""
+    size: int
+    """How many directions."""
+
+
+NOWHERE = Directions((), Layout(None, (0, 0, 0), (), ()), (), 0)
 
 
 def run_episodes(
@@ -34,20 +52,26 @@ def run_episodes(
     cut: Shape,
     constants: tuple[Any, ...],
     signals: Any,
+    along: Directions = NOWHERE,
     *,
     interpret: bool,
-) -> Any:
-    """What is left of each lane's episode; leaves (groups, tissues, controllers).
+) -> tuple[Any, Any]:
+    """What is left of each lane's episode, and its tangents.
 
     Args:
         episode: What is run.
         layout: Of the constants.
         track: Of the signals.
         ops: Scalar functions that Triton knows.
-        cut: Lanes and warps of a program.
+        cut: Lanes, warps and directions of a program.
         constants: One array per kind.
         signals: All groups' in one array.
+        along: What to differentiate along.
         interpret: Run it without a GPU, which is slow.
+
+    Returns:
+        What is left, leaves (groups, tissues, controllers); and along directions the tangent of each leaf with these in
+        front, None where nothing moves it.
 
     Raises:
         ValueError: There is more of something than 32 bits can count.
@@ -56,54 +80,90 @@ def run_episodes(
     count, dtype = tissues * controllers, signals.dtype
     blocks = pallas.cdiv(count, cut.lanes)
     scalar: Any = jax.eval_shape(lambda: jnp.zeros(cut.lanes, dtype))
-    quick = not interpret and dtype == jnp.float32
+    inverses = Inverses(_exact, jnp.sqrt) if interpret else Inverses(_reciprocal, _root)
+    parts = along.size // cut.directions if along.size else 1
 
     def begin(lane: Any) -> Any:
         return _as_lanes(episode.begin(lane, ops), scalar)
 
     def one(lane: Any, run: Any, now: Any) -> Any:
-        return episode.step(lane, run, now, ops)[0]
+        return _as_lanes(episode.step(lane, run, now, ops)[0], scalar)
+
+    def fold(lane: Any, run: Any) -> Any:
+        return _as_lanes(episode.fold(lane, run, ops), scalar)
+
+    def found(run: Any) -> Any:
+        return _as_lanes(episode.found(run), scalar)
+
+    def moved_on(function: Any, own: Any, own_slopes: Any, state: Any) -> Any:
+        """f(lane, carried), and along each direction what moves of it."""
+        run, slopes = state
+        joined = [[*mine, *its] for mine, its in zip(own_slopes, slopes, strict=True)]
+        run, after = pushed(function, (own, run), (*along.moving, *moves), joined)
+        return run, [only(moves, each) for each in after]
+
+    example = jax.eval_shape(lambda *arrays: unpacked(layout, arrays, 0, jnp.zeros(cut.lanes, jnp.int32)), *constants)
+    like = jax.eval_shape(lambda lane: found(begin(lane)), example)
+    moves: tuple[bool, ...] = ()
+    found_moves: tuple[bool, ...] = ()
+    if along.size:
+        met = jax.eval_shape(lambda array: episode.taken_apart(at_sample(track, array, 0, 0)), signals)
+        moves, found_moves = movable(begin, one, fold, found, along.moving, example, met)
 
     def kernel(*refs: Any) -> None:
-        *constant, signal, out = refs
-        group, block = pallas.program_id(1), pallas.program_id(0)
-        lane = block * cut.lanes + jnp.arange(cut.lanes, dtype=jnp.int32)
-        own = unpacked(layout, constant, group, jnp.minimum(lane, count - 1))
+        constant, tangent = refs[: len(constants)], refs[len(constants) : -2]
+        signal, out = refs[-2:]
+        part, group, block = pallas.program_id(2), pallas.program_id(1), pallas.program_id(0)
+        lane = jnp.minimum(block * cut.lanes + jnp.arange(cut.lanes, dtype=jnp.int32), count - 1)
+        own = unpacked(layout, constant, group, lane)
+        first = part * cut.directions
+        own_slopes = [unpacked(along.layout, tangent, group, lane, first + i) for i in range(cut.directions)]
 
-        def step(i: Any, run: Any) -> Any:
+        def step(i: Any, state: Any) -> Any:
             now = episode.taken_apart(at_sample(track, signal, group, i))
-            following = _with_reciprocals(one, own, run, now) if quick else one(own, run, now)
-            return _as_lanes(following, scalar)
 
-        def stretch(k: Any, run: Any) -> Any:
+            def following(constant: tuple[Any, Any], state: Any, now: Any) -> Any:
+                return moved_on(lambda own, run: one(own, run, now), constant[0], constant[1], state)
+
+            given = (own, own_slopes), state, now
+            after = lean(following, inverses, *given) if dtype == jnp.float32 else following(*given)
+            return _as_lanes(after, scalar)
+
+        def stretch(k: Any, state: Any) -> Any:
             first = k * STRETCH
-            run = jax.lax.fori_loop(first, jnp.minimum(first + STRETCH, track.steps), step, run)
-            return _as_lanes(episode.fold(own, run, ops), scalar)
+            state = jax.lax.fori_loop(first, jnp.minimum(first + STRETCH, track.steps), step, state)
+            return _as_lanes(moved_on(fold, own, own_slopes, state), scalar)
 
+        begun, slopes = pushed(begin, (own,), along.moving, own_slopes)
+        state = _as_lanes((begun, [only(moves, each) for each in slopes]), scalar)
         stretches = -(-track.steps // STRETCH)
-        run = jax.lax.fori_loop(jnp.int32(0), jnp.int32(stretches), stretch, begin(own))
-        for row, value in enumerate(jax.tree.leaves(_as_lanes(episode.found(run), scalar))):
-            start = ((row * groups + group) * blocks + block) * cut.lanes
+        run, slopes = jax.lax.fori_loop(jnp.int32(0), jnp.int32(stretches), stretch, state)
+        left, after = pushed(found, (run,), moves, slopes)
+        values = [*jax.tree.leaves(left), *(slope for each in after for slope in only(found_moves, each))]
+        for row, value in enumerate(_as_lanes(values, scalar)):
+            start = (((part * rows + row) * groups + group) * blocks + block) * cut.lanes
             out[pallas.ds(start, cut.lanes)] = value
 
-    like = jax.eval_shape(
-        lambda *arrays: episode.found(begin(unpacked(layout, arrays, 0, jnp.zeros(cut.lanes, jnp.int32)))), *constants
-    )
-    rows = len(jax.tree.leaves(like))
-    most = max(rows * groups * blocks * cut.lanes, signals.size, *(array.size for array in constants))
+    leaves, tree = jax.tree.flatten(like)
+    rows = len(leaves) + cut.directions * sum(found_moves)
+    size = parts * rows * groups * blocks * cut.lanes
+    most = max(size, signals.size, *(array.size for array in (*constants, *along.arrays)))
     if most >= 2**31:
         raise ValueError(f"{most} numbers in an array of a kernel, which counts to 2³¹: run fewer controllers")
     call = pallas.pallas_call(
         kernel,
-        out_shape=jax.eval_shape(lambda: jnp.zeros(rows * groups * blocks * cut.lanes, dtype)),
-        grid=(blocks, groups),
+        out_shape=jax.eval_shape(lambda: jnp.zeros(size, dtype)),
+        grid=(blocks, groups, parts),
         compiler_params=triton.CompilerParams(num_warps=cut.warps, num_stages=1),
         interpret=interpret,
         name="episodes",
     )
-    found = call(*constants, signals).reshape(rows, groups, blocks * cut.lanes)[:, :, :count]
-    leaves = found.reshape(rows, groups, tissues, controllers)
-    return jax.tree.unflatten(jax.tree.structure(like), list(leaves))
+    flat = call(*constants, *along.arrays, signals).reshape(parts, rows, groups, blocks * cut.lanes)[..., :count]
+    values = flat.reshape(parts, rows, groups, tissues, controllers)
+    slopes = values[:, len(leaves) :].reshape(along.size, sum(found_moves), groups, tissues, controllers)
+    there = iter(jnp.moveaxis(slopes, 1, 0))
+    tangents = [next(there) if each else None for each in found_moves or [False] * len(leaves)]
+    return jax.tree.unflatten(tree, list(values[0, : len(leaves)])), tangents
 
 
 def _as_lanes(tree: Any, like: Any) -> Any:
@@ -111,36 +171,23 @@ def _as_lanes(tree: Any, like: Any) -> Any:
     return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf, like.dtype), like.shape), tree)
 
 
-def _with_reciprocals(function: Any, *arguments: Any) -> Any:
-    """f(…), every quotient a/b as a · (1/b), whose last bit is the processor's: two instructions instead of eight."""
-    closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-    jaxpr = closed.jaxpr
-    inputs = (*closed.consts, *jax.tree.leaves(arguments))
-    values: dict[Any, Any] = dict(zip((*jaxpr.constvars, *jaxpr.invars), inputs, strict=True))
-    inverse: dict[Any, Any] = {}
-
-    def value_of(var: Any) -> Any:
-        return var.val if isinstance(var, Literal) else values[var]
-
-    for equation in jaxpr.eqns:
-        if equation.primitive.name == "div":
-            above, below = equation.invars
-            # Each denominator is divided by but once; that of a plain number has no name.
-            name = id(below) if isinstance(below, Literal) else below
-            if name not in inverse:
-                inverse[name] = _reciprocal(value_of(below))
-            found = [value_of(above) * inverse[name]]
-        else:
-            found = bind(closed, equation, value_of)
-        values.update(zip(equation.outvars, found, strict=True))
-    return jax.tree.unflatten(jax.tree.structure(shape), [value_of(var) for var in jaxpr.outvars])
+def _exact(value: Any) -> Any:
+    return (1.0 / value).astype(value.dtype)
 
 
 def _reciprocal(value: Any) -> Any:
-    if jnp.ndim(value) == 0:
-        return (1.0 / value).astype(value.dtype)
+    """1/x, whose last bit is the processor's: one instruction instead of eight."""
+    return _exact(value) if jnp.ndim(value) == 0 else _instruction("rcp", value)
+
+
+def _root(value: Any) -> Any:
+    """√x likewise."""
+    return jnp.sqrt(value) if jnp.ndim(value) == 0 else _instruction("sqrt", value)
+
+
+def _instruction(name: str, value: Any) -> Any:
     (found,) = triton.elementwise_inline_asm(
-        "rcp.approx.ftz.f32 $0, $1;",
+        f"{name}.approx.ftz.f32 $0, $1;",
         args=[value],
         constraints="=f,f",
         pack=1,

@@ -22,7 +22,6 @@ from jaxmpc.law.scalar import (
     minus,
     plus,
     scale,
-    sub,
     times,
     transpose,
 )
@@ -89,22 +88,24 @@ def pose(chain: Chain, q: Vector, ops: Ops) -> Pose:
 
 
 def tip(chain: Chain, at: Pose) -> Tip:
-    """Position and Jacobian of the tip."""
-    orientation: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    origin: Vector = ZERO
-    axes, origins = [], []
-    for link, rotation in zip(chain.links, at, strict=True):
-        origin = add(origin, apply(orientation, link.position))
-        orientation = matmul(orientation, rotation)
-        axes.append(tuple(row[2] for row in orientation))
-        origins.append(origin)
-    point = add(origin, apply(orientation, chain.tip))
-    columns = [cross(axis, sub(point, origin)) for axis, origin in zip(axes, origins, strict=True)]
-    return Tip(point, transpose(tuple(columns)))
+    """Position and Jacobian of the tip.
+
+    From the tip inwards: where a link's frame meets its parent's the joint's axis is a constant, and all that has been
+    found so far turns with the link.
+    """
+    arm = chain.tip
+    columns: list[Vector] = []
+    for link, rotation in zip(reversed(chain.links), reversed(at), strict=True):
+        arm = apply(rotation, arm)
+        axis = tuple(row[2] for row in rotation)
+        columns = [cross(axis, arm), *(apply(rotation, column) for column in columns)]
+        arm = add(arm, link.position)
+    return Tip(arm, transpose(tuple(columns)))
 
 
 def dynamics(chain: Chain, at: Pose, qd: Vector) -> Dynamics:
     """Mass matrix, bias force and tip drift at joint velocities qd [rad/s]."""
+    chain = regrouped(chain)
     bias, acceleration = _newton_euler(chain, at, qd, (0.0,) * len(qd))
     for rotation in reversed(at):
         acceleration = apply(rotation, acceleration)
@@ -114,7 +115,7 @@ def dynamics(chain: Chain, at: Pose, qd: Vector) -> Dynamics:
 
 def inverse_dynamics(chain: Chain, at: Pose, qd: Vector, qdd: Vector) -> Vector:
     """Torques M(q) q̈ + c(q, q̇) of links and tool [N m]."""
-    return _newton_euler(chain, at, qd, qdd)[0]
+    return _newton_euler(regrouped(chain), at, qd, qdd)[0]
 
 
 def _newton_euler(chain: Chain, at: Pose, qd: Vector, qdd: Vector) -> tuple[Vector, Vector]:
@@ -177,6 +178,34 @@ def with_point_mass(chain: Chain, mass: Scalar) -> Chain:
         inertia=tuple(add(row, scale(mass, more)) for row, more in zip(last.inertia, inertia, strict=True)),
     )
     return chain._replace(links=(*links, heavier))
+
+
+def regrouped(chain: Chain) -> Chain:
+    """The same equation of motion from fewer numbers: what lies on a link's axis is its parent's.
+
+    There it moves in the same way whether the joint turns it or not: a link leaves its parent its mass, what its
+    moment has along the axis, and of its inertia diag(I_yy, I_yy, 0). M q̈ + c stays that of the arm; no link does.
+
+    Source: Gautier and Khalil, IEEE Trans. Robotics and Automation 6(3), 1990.
+    """
+    links = list(chain.links)
+    for i in reversed(range(1, len(links))):
+        own, parent = links[i], links[i - 1]
+        (I_xx, *xy_xz), (I_yx, I_yy, I_yz), along_z = own.inertia
+        along = (I_yy, 0.0, 0.0), (0.0, I_yy, 0.0), ZERO
+        on_axis = (0.0, 0.0, own.moment[2])
+        moment, inertia = _seen_from_parent(own.rotation, own.position, own.mass, on_axis, along)
+        links[i] = own._replace(
+            mass=0.0,
+            moment=(*own.moment[:2], 0.0),
+            inertia=((minus(I_xx, I_yy), *xy_xz), (I_yx, 0.0, I_yz), along_z),
+        )
+        links[i - 1] = parent._replace(
+            mass=plus(parent.mass, own.mass),
+            moment=add(parent.moment, moment),
+            inertia=tuple(map(add, parent.inertia, inertia)),
+        )
+    return chain._replace(links=tuple(links))
 
 
 def with_diagonal(mass: Matrix, diagonal: Vector) -> Matrix:

@@ -10,7 +10,7 @@ and nominal Mₙ, cₙ that may differ from the arm's:
 which is τ = Mₙ q̈ + cₙ + Jᵀ y with J q̈ = a − J̇q̇, and q̈₀ in the null space of J.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxmpc.law.chain import Chain, dynamics, pose, tip, with_diagonal, with_point_mass
 from jaxmpc.law.friction_compensation import NominalFriction
@@ -26,7 +26,9 @@ from jaxmpc.law.scalar import (
     matmul,
     scale,
     solve_ldl,
+    solve_lower,
     sub,
+    times,
     transpose,
 )
 
@@ -50,9 +52,10 @@ class JointTorque(NamedTuple):
 
     torque: Vector
     """Joint torques τ [N m]."""
-    jacobian: Matrix
-    factors: Any
-    """LDLᵀ factors of the nominal mass matrix."""
+    lower: Matrix
+    """L of the nominal mass matrix LDLᵀ."""
+    response: Matrix
+    """J L⁻ᵀ D⁻¹, what L⁻¹ of a torque accelerates the tip [m/(N m s²)]."""
     mass: Matrix = ()
     """Nominal mass matrix, armature included [kg m²]."""
     load: Vector = ()
@@ -100,16 +103,18 @@ def torque(
         scale(-POSTURE_STIFFNESS, sub(q, posture)),
         scale(POSTURE_DAMPING, qd),
     )
-    factors = factor_ldl(mass)
-    response = tuple(solve_ldl(factors, row) for row in J)
-    mobility = matmul(J, transpose(response))
+    lower, inverse = factor_ldl(mass)
+    # J M⁻¹ Jᵀ = Y D⁻¹ Yᵀ with M = L D Lᵀ and Y = J L⁻ᵀ.
+    half = tuple(solve_lower(lower, row) for row in J)
+    response = tuple(tuple(map(times, row, inverse)) for row in half)
+    mobility = matmul(half, transpose(response))
     w = sub(sub(a, found.drift), apply(J, posture_acceleration))
     at_the_tip = add(solve_ldl(factor_ldl(mobility), w), force)
     tau = add(add(apply(mass, posture_acceleration), bias), apply_transposed(J, at_the_tip))
     load = add(bias, apply_transposed(J, force))
-    return JointTorque(add(tau, friction), J, factors, mass, load)
+    return JointTorque(add(tau, friction), lower, response, mass, load)
 
 
 def acceleration_of(found: JointTorque, change: Vector) -> Vector:
     """Acceleration of the tip [m/s²] that a change of the joint torques [N m] makes, on the nominal model."""
-    return apply(found.jacobian, solve_ldl(found.factors, change))
+    return apply(found.response, solve_lower(found.lower, change))

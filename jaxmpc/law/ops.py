@@ -43,6 +43,9 @@ class Ops(Protocol):
     def replaced(self, value: Scalar, new: Scalar, /) -> Scalar:
         """Another value in the place of one, whose slope stays: what a tuner sees through a limit."""
 
+    def near(self, angle: Scalar, other: Scalar, /) -> Scalar:
+        """The angle, of which it is known that another whose sine is needed too is not 0.1 rad away."""
+
     def where(self, condition: Any, this: Scalar, that: Scalar, /) -> Scalar:
         """This where the condition holds, else that."""
 
@@ -73,6 +76,10 @@ class _Floats:
     @staticmethod
     def replaced(value: float, new: float) -> float:
         return new
+
+    @staticmethod
+    def near(angle: float, other: float) -> float:
+        return angle
 
     @staticmethod
     def where(condition: bool, this: float, that: float) -> float:

@@ -152,12 +152,17 @@ def factor_ldl(A: Matrix) -> tuple[Matrix, Vector]:
 def solve_ldl(factors: tuple[Matrix, Vector], b: Vector) -> Vector:
     """x of L D Lᵀ x = b."""
     lower, inverse = factors
+    x = list(map(times, solve_lower(lower, b), inverse))
+    for i in reversed(range(len(x))):
+        for j in range(i + 1, len(x)):
+            x[i] = minus(x[i], times(lower[j][i], x[j]))
+    return tuple(x)
+
+
+def solve_lower(lower: Matrix, b: Vector) -> Vector:
+    """x of L x = b, the first half of the way to that of L D Lᵀ x = b."""
     x = list(b)
     for i in range(len(x)):
         for j in range(i):
             x[i] = minus(x[i], times(lower[i][j], x[j]))
-    x = [times(value, weight) for value, weight in zip(x, inverse, strict=True)]
-    for i in reversed(range(len(x))):
-        for j in range(i + 1, len(x)):
-            x[i] = minus(x[i], times(lower[j][i], x[j]))
     return tuple(x)

@@ -202,9 +202,9 @@ def untroubled(like: Scalar) -> Trouble:
 def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, force_limit: Scalar, ops: Ops) -> Trouble:
     """What has happened first, this sample included."""
     x, y, z = sample.force
-    force = ops.sqrt(x * x + y * y + z * z)
     error = _largest((y - wanted[0] for y, wanted in zip(sample.force, now.force_ref, strict=True)), ops)
-    over = ops.where(force < force_limit, ops.where(error < HIGHEST_ERROR, inf, now.time), now.time)
+    within = x * x + y * y + z * z < force_limit * force_limit
+    over = ops.where(within, ops.where(error < HIGHEST_ERROR, inf, now.time), now.time)
     largest = _largest(sample.force, ops)
     indented = now.heart.position[2] - sample.tip[2]
     lost = ops.where(now.watch > 0.0, now.time, inf)

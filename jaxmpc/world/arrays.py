@@ -20,6 +20,7 @@ class _Arrays:
     maximum: Any = np.maximum
     clip: Any = staticmethod(np.clip)
     where: Any = staticmethod(np.where)
+    near: Any = staticmethod(FLOATS.near)
     replaced: Any = staticmethod(FLOATS.replaced)
 
 

@@ -171,7 +171,8 @@ def sense(
 
 def encoders(kind: RobotStructure, robot: Robot, state: RobotState, ops: Ops) -> Vector:
     """Joint angles that the encoders read, at the motors [rad]."""
-    return drive.read(robot.drive, state.motor[0] if kind.cable else state.q, ops)
+    read = drive.read(robot.drive, state.motor[0] if kind.cable else state.q, ops)
+    return tuple(map(ops.near, read, state.q))
 
 
 def move(
@@ -218,7 +219,7 @@ def _substep(
     lead = 0.5 * h if leapfrog else 0.0
     share = 0.5 * h if leapfrog else h
     q, qd = state.q, state.qd
-    at = add(q, scale(lead, qd))
+    at = tuple(map(ops.near, add(q, scale(lead, qd)), q))
     at_tip = chain_tip(chain, pose(chain, at, ops))
     d = sub(sub(at_tip.position, robot.touch), heart.position)
     ddot = sub(apply(at_tip.jacobian, qd), heart.velocity)

@@ -60,6 +60,11 @@ def clip(value: Any, low: Any, high: Any) -> Any:
     return jnp.minimum(jnp.maximum(value, low), high)
 
 
+def near(angle: Any, other: Any) -> Any:
+    """An angle that is near another, which is of use to whoever computes sines by hand."""
+    return angle
+
+
 @jax.custom_jvp
 def replaced(value: Any, new: Any) -> Any:
     """Another value in the place of one, whose slope stays."""

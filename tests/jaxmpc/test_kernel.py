@@ -9,7 +9,7 @@ import pytest
 
 from jaxmpc import Experiment, Params
 from jaxmpc.closed_loops import close_loops
-from jaxmpc.engine import kernel, pallas_triton
+from jaxmpc.engine import kernel
 from jaxmpc.engine.base import CellResults
 from jaxmpc.engine.kernel import Kernel
 from jaxmpc.engine.lane_ops import lane_ops
@@ -129,22 +129,3 @@ def test_slope_of_a_sine_is_its_cosine() -> None:
     ops, angles = lane_ops(jnp.float32), jnp.linspace(-3.0, 3.0, 1001, dtype=jnp.float32)
     slopes = jax.vmap(jax.grad(ops.sin))(angles)
     np.testing.assert_allclose(slopes, np.cos(np.asarray(angles, np.float64)), atol=2e-6)
-
-
-def test_quotients_become_products(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With an exact reciprocal the numbers stay; a denominator is inverted once."""
-    asked = []
-
-    def reciprocal(value: Any) -> Any:
-        asked.append(value)
-        return 1.0 / value
-
-    monkeypatch.setattr(pallas_triton, "_reciprocal", reciprocal)
-
-    def function(x: Any, y: Any) -> Any:
-        return {"a": x / y + 2.0 / y, "b": jnp.where(x > 0.0, x / 3.0, -x)}
-
-    x, y = jnp.linspace(-1.0, 1.0, 5), jnp.linspace(1.0, 3.0, 5)
-    found, expected = pallas_triton._with_reciprocals(function, x, y), function(x, y)
-    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-15), found, expected)
-    assert len(asked) == 2

@@ -31,6 +31,7 @@ FLOATS = SimpleNamespace(
     maximum=max,
     where=lambda condition, this, that: this if condition else that,
     clip=lambda x, low, high: min(max(x, low), high),
+    near=lambda angle, other: angle,
     replaced=lambda value, new: new,
 )
 CHAIN = chain()

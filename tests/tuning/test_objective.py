@@ -63,6 +63,19 @@ def test_reverse_gradient_is_the_central_difference_for_every_parameter(small: J
 
 
 @pytest.mark.oracle
+def test_an_engine_without_reverse_mode_gives_the_same_gradient(small: Job) -> None:
+    spec = TuneSpec.from_dict(small(experiment=QUIET, tune={"duration": 0.4, "settle": 0.1}))
+    scanned = problem(spec)
+    inside = scanned._replace(
+        structure=scanned.structure._replace(world=scanned.structure.world._replace(engine="kernel"))
+    )
+    z = np.tile(spec.space.encode(spec.params) + 0.07, (8, 1)) * np.linspace(0.99, 1.01, 8)[:, None]
+    wanted, found = (each.differentiate(z, 3.0) for each in (scanned, inside))
+    np.testing.assert_allclose(found.loss, wanted.loss, rtol=1e-9)
+    np.testing.assert_allclose(found.gradient, wanted.gradient, rtol=0, atol=1e-7 * np.abs(wanted.gradient).max())
+
+
+@pytest.mark.oracle
 def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
     goals = {
         "M_s": 1.1,

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmpc.closed_loops import ClosedLoops, close_loops
+from jaxmpc.engine.registry import ENGINES
 from jaxmpc.law.gains import Gains
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
@@ -156,7 +157,9 @@ def constrained(
 
 
 def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, structure: ProblemStructure) -> Values:
-    """Value and gradient of all starts, in reverse mode; traceable."""
+    """Value and gradient of all starts, in reverse mode where the engine has it, else in forward mode; traceable."""
+    if "reverse" not in ENGINES[structure.world.engine].modes:
+        return _in_forward_mode(z, data, width, structure)
 
     def total(z: Array) -> tuple[Array, Any]:
         loss, rest = loss_of(z, data, width, structure)
@@ -164,6 +167,20 @@ def value_and_gradient(z: Float[Array, "starts size"], data: Data, width: Any, s
 
     (_, (loss, *rest)), gradient = jax.value_and_grad(total, has_aux=True)(z)
     return Values(loss, gradient, *rest)
+
+
+def _in_forward_mode(z: Array, data: Data, width: Any, structure: ProblemStructure) -> Values:
+    """A start's loss is its own, so each parameter is one direction for all starts at once."""
+
+    def along(direction: Array) -> tuple[Array, Array, Any]:
+        moving = jnp.broadcast_to(direction, z.shape)
+        found: tuple[Array, Array, Any] = jax.jvp(
+            lambda z: loss_of(z, data, width, structure), (z,), (moving,), has_aux=True
+        )
+        return found
+
+    loss, slopes, rest = jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(z.shape[1], dtype=z.dtype))
+    return Values(loss, slopes.T, *rest)
 
 
 def value_alone(z: Float[Array, "starts size"], data: Data, width: Any, structure: ProblemStructure) -> Values:

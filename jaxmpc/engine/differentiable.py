@@ -1,0 +1,124 @@
+"""Episodes in a kernel, differentiable in forward mode by the constants of their lanes.
+
+`jax.jvp` runs one kernel that yields value and tangent. Under `jax.vmap` over directions alone, as `jax.jacfwd` has it,
+one kernel takes all of them, so many to a program (`Shape.directions`), beside one run that they share.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
+from jax.custom_derivatives import SymbolicZero
+
+from jaxmpc.engine.episode import Episode
+from jaxmpc.engine.lane_ops import lane_ops
+from jaxmpc.engine.lanes import packed, recorded
+from jaxmpc.engine.pallas_triton import NOWHERE, Directions, Shape, run_episodes
+from jaxmpc.engine.tangents import only
+
+
+class Program(NamedTuple):
+    """What a kernel is made of; hashable."""
+
+    episode: Episode
+    shape: tuple[int, int, int]
+    """Groups, tissues, controllers."""
+    dtype: Any
+    alone: Shape
+    """How it is cut where nothing is differentiated."""
+    along: Shape
+    """And where something is."""
+    interpret: bool
+
+
+def episodes(program: Program, lane: Any, signals: Any) -> Any:
+    """What is left of each lane's episode; leaves (groups, tissues, controllers).
+
+    Args:
+        program: What is run.
+        lane: Constants, which broadcast against the shape; what the derivative is by.
+        signals: Leaves (groups, steps, …); not differentiated.
+
+    Raises:
+        TypeError: Signals have a tangent.
+    """
+    return _episodes(program, *jax.tree.map(jnp.asarray, (lane, signals)))
+
+
+def _alone(program: Program, lane: Any, signals: Any) -> Any:
+    return _run(program, lane, signals, (), [])[0]
+
+
+_episodes: Any = jax.custom_jvp(_alone, nondiff_argnums=(0,))
+
+
+def _jvp(program: Program, primals: Any, tangents: Any) -> tuple[Any, Any]:
+    lane, signals = primals
+    by_lane, by_signals = (jax.tree.leaves(each, is_leaf=_is_zero) for each in tangents)
+    if not all(map(_is_zero, by_signals)):
+        raise TypeError(
+            "The kernel differentiates by controllers, tissues and robot, not by signals (heart, noise, wanted force): "
+            'take the engine "scan".'
+        )
+    moving = tuple(not _is_zero(slope) for slope in by_lane)
+    left, slopes = _one_direction(program, moving)(lane, signals, only(moving, by_lane))
+    leaves, tree = jax.tree.flatten(left)
+    full = [jnp.zeros_like(leaf) if slope is None else slope for leaf, slope in zip(leaves, slopes, strict=True)]
+    return left, jax.tree.unflatten(tree, full)
+
+
+_episodes.defjvp(_jvp, symbolic_zeros=True)
+
+
+def _is_zero(slope: Any) -> bool:
+    return isinstance(slope, SymbolicZero)
+
+
+def _one_direction(program: Program, moving: tuple[bool, ...]) -> Any:
+    """f(lane, signals, tangents of what moves) → what is left and its tangents; several at once share the run."""
+
+    @custom_vmap
+    def one(lane: Any, signals: Any, slopes: list[Any]) -> Any:
+        left, found = _run(program, lane, signals, moving, [slope[None] for slope in slopes])
+        return left, jax.tree.map(lambda leaf: leaf[0], found)
+
+    @one.def_vmap
+    def several(size: int, batched: Any, lane: Any, signals: Any, slopes: list[Any]) -> Any:
+        if any(jax.tree.leaves(batched[:2])):
+            # Nothing is shared.
+            every = jax.tree.map(
+                lambda leaf, is_batched: leaf if is_batched else jnp.broadcast_to(leaf, (size, *leaf.shape)),
+                (lane, signals, slopes),
+                tuple(batched),
+            )
+            found = jax.lax.map(lambda each: one(*each), every)
+            return found, jax.tree.map(lambda _: True, found)
+        each = [
+            slope if is_batched else jnp.broadcast_to(slope, (size, *slope.shape))
+            for slope, is_batched in zip(slopes, batched[2], strict=True)
+        ]
+        left, found = _run(program, lane, signals, moving, each)
+        return (left, found), (jax.tree.map(lambda _: False, left), jax.tree.map(lambda _: True, found))
+
+    return one
+
+
+def _run(program: Program, lane: Any, signals: Any, moving: tuple[bool, ...], slopes: list[Any]) -> tuple[Any, Any]:
+    """Along every direction: tangents (directions, …) of the leaves that move."""
+    shape, precision = program.shape, jnp.dtype(program.dtype)
+    constants, layout = packed(lane, shape, precision)
+    row, track = recorded(signals, precision)
+    cut, along, count = program.alone, NOWHERE, len(slopes[0]) if slopes else 0
+    if count:
+        together = min(program.along.directions, count)
+        cut, filled = program.along._replace(directions=together), -count % together
+        wide = [jnp.pad(slope, ((0, filled), *((0, 0),) * (slope.ndim - 1))) for slope in slopes]
+        _, own = packed(only(moving, jax.tree.leaves(lane)), shape, precision)
+        arrays = jax.vmap(lambda leaves: packed(leaves, shape, precision)[0])(wide)
+        along = Directions(moving, own, tuple(map(jnp.ravel, arrays)), count + filled)
+    ops = lane_ops(precision)
+    left, found = run_episodes(
+        program.episode, layout, track, ops, cut, constants, row, along, interpret=program.interpret
+    )
+    return left, [None if leaf is None else leaf[:count] for leaf in found]

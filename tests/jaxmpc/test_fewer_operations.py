@@ -1,0 +1,169 @@
+"""A step taken apart and put together again: its numbers stay, what it takes becomes less."""
+
+from collections import Counter
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxmpc.engine.fewer_operations import Inverses, lean
+from jaxmpc.engine.lane_ops import lane_ops, sines, turned
+from jaxmpc.engine.tangents import pushed
+
+EXACT = Inverses(lambda value: 1.0 / value, jnp.sqrt)
+OPS = lane_ops(jnp.float32)
+C, X, Y = (jnp.linspace(low, 3.0, 7, dtype=jnp.float32) for low in (1.0, -2.0, 0.5))
+
+
+def operations(function: Any, *arguments: Any) -> Counter[str]:
+    """How many of each kind are left."""
+    jaxpr = jax.make_jaxpr(lambda *each: lean(function, EXACT, *each))(*arguments).jaxpr
+    return Counter(equation.primitive.name for equation in jaxpr.eqns)
+
+
+def check_same(function: Any, *arguments: Any) -> None:
+    found, expected = lean(function, EXACT, *arguments), function(*arguments)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6), found, expected)
+
+
+def test_every_product_of_a_sum_is_added_to_what_is_none() -> None:
+    """x + (ab − cd) − (e + fg) would need four sums where a product has no sum of its own."""
+
+    def function(c: Any, x: Any, y: Any) -> Any:
+        return (x * y - y * y * x) + y - (x + c * y)
+
+    check_same(function, C, X, Y)
+    jaxpr = jax.make_jaxpr(lambda *each: lean(function, EXACT, *each))(C, X, Y).jaxpr
+    products = [equation.outvars[0] for equation in jaxpr.eqns if equation.primitive.name == "mul"]
+    sums = [equation for equation in jaxpr.eqns if equation.primitive.name in ("add", "sub")]
+    # The first adds what is no product to what is none; each of the others adds a product.
+    assert [any(var in products for var in each.invars) for each in sums] == [False, True, True, True]
+
+
+def test_quotients_become_products() -> None:
+    """A denominator is inverted once, and 1 is multiplied by nothing."""
+    asked = []
+
+    def reciprocal(value: Any) -> Any:
+        asked.append(value)
+        return 1.0 / value
+
+    def function(c: Any, x: Any, y: Any) -> Any:
+        return {"a": x / y + 2.0 / y, "b": jnp.where(x > 0.0, x / 3.0, -x), "c": 1.0 / y}
+
+    found = lean(function, Inverses(reciprocal, jnp.sqrt), C, X, Y)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-6), found, function(C, X, Y))
+    assert len(asked) == 2
+
+
+def test_slopes_of_quotients_become_products_too() -> None:
+    """The slope of 1/x asks for x⁻², and what has a rule of its own is seen into."""
+    asked = []
+
+    def reciprocal(value: Any) -> Any:
+        asked.append(value)
+        return 1.0 / value
+
+    @jax.custom_jvp
+    def ruled(x: Any) -> Any:
+        return 1.0 / x
+
+    ruled.defjvp(lambda at, along: (ruled(*at), along[0]))
+
+    def function(x: Any) -> Any:
+        return jax.jvp(lambda x: 2.0 / x, (x,), (jnp.ones_like(x),)), ruled(x + 1.0), x**-3, x**5, x**0
+
+    found, wanted = lean(function, Inverses(reciprocal, jnp.sqrt), Y), function(Y)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-6), found, wanted)
+    assert len(asked) == 2
+
+
+def test_what_is_linearised_stays_what_it_is() -> None:
+    """Along two directions, with ties of the extremes, a choice, a sign, a root, sines and tangents that are added."""
+
+    def function(c: Any, x: Any, y: Any) -> Any:
+        extremes = OPS.maximum(x, c) * OPS.minimum(y, x + y - x) - OPS.clip(x * y, -c, c)
+        chosen = OPS.where(x > 0.0, x / (y + c), abs(x)) + OPS.sqrt(x * x + y) * jnp.sign(x) * y**-2
+        turned = OPS.sin(OPS.near(x + 0.01 * y, x)) * OPS.cos(x) + OPS.exp(x) * OPS.log(y)
+        return extremes, chosen, turned, OPS.floor(x * y), OPS.replaced(x, y)
+
+    along = [[1.0 * X, 2.0 * Y], [C, X]]
+
+    def linearised(c: Any, along: Any, x: Any, y: Any) -> Any:
+        return pushed(function, (c, x, y), (False, True, True), along)
+
+    for x, y in ((X, Y), (C, C), (-C, Y)):
+        check_same(linearised, C, along, x, y)
+    left = operations(linearised, C, along, X, Y)
+    assert not left.keys() & {"add_any", "integer_pow", "custom_jvp_call", "jit", "pjit"}
+    assert left["shift_left"] == 1
+
+
+def test_an_angle_near_another_has_its_own_slope() -> None:
+    for dtype in (jnp.float32, jnp.float64):
+        near = lane_ops(dtype).near
+        for function in (near, lambda *each, near=near: lean(near, EXACT, *each)):
+            x, y = X.astype(dtype), Y.astype(dtype)
+            np.testing.assert_array_equal(function(x, y), x)
+        np.testing.assert_array_equal(jax.jvp(near, (x, y), (y, x))[1], y)
+
+
+def test_a_choice_between_something_and_one_is_made_once() -> None:
+    def function(c: Any, x: Any, y: Any) -> Any:
+        return jnp.where(x > c, c, 1.0) / jnp.where(x > c, x, 1.0)
+
+    check_same(function, C, X * 2.0, Y)
+    check_same(function, C, 0.0 * X, Y)
+    assert operations(function, C, X, Y)["select_n"] == 1
+
+
+def test_what_is_equal_is_computed_once() -> None:
+    def function(c: Any, x: Any, y: Any) -> Any:
+        return x * y + c, jnp.maximum(y * x, c), jnp.maximum(c, x * y)
+
+    check_same(function, C, X, Y)
+    assert operations(function, C, X, Y) == {"mul": 1, "add": 1, "max": 1}
+
+
+def test_what_constants_make_stays_whole() -> None:
+    """c + 2c leaves the loop, and what does not change is added to x at once."""
+
+    def function(c: Any, x: Any, y: Any) -> Any:
+        return x + (c + 2.0 * c)
+
+    jaxpr = jax.make_jaxpr(lambda *each: lean(function, EXACT, *each))(C, X, Y).jaxpr
+    *_, last = [equation for equation in jaxpr.eqns if equation.primitive.name in ("add", "sub")]
+    assert jaxpr.invars[1] in last.invars
+
+
+def test_sines_of_near_angles_are_turned() -> None:
+    """To the last digits of float32, 0.1 rad away, and with a slope."""
+    angle = np.linspace(-7.0, 7.0, 20_001).astype(np.float32)
+    for apart in (1e-4, 0.01, -0.1):
+        other = angle + np.float32(apart)
+        found = turned(*sines(jnp.asarray(angle)), jnp.asarray(other - angle))
+        for one, exact in zip(found, (np.sin, np.cos), strict=True):
+            np.testing.assert_allclose(one, exact(other.astype(np.float64)), rtol=0, atol=3.6e-7)
+
+    def function(c: Any, x: Any, y: Any) -> Any:
+        close = OPS.near(x + 0.01 * y, x)
+        return OPS.sin(x), OPS.cos(close), OPS.sin(close)
+
+    check_same(function, C, X, Y)
+    assert operations(function, C, X, Y)["shift_left"] == 1
+
+    def slopes(c: Any, x: Any, y: Any) -> Any:
+        return jax.jvp(lambda x: function(c, x, y), (x,), (jnp.ones_like(x),))
+
+    check_same(slopes, C, X, Y)
+    np.testing.assert_allclose(lean(slopes, EXACT, C, X, Y)[1][2], np.cos(X + 0.01 * Y), atol=1e-6)
+    assert operations(slopes, C, X, Y)["shift_left"] == 1
+
+
+def test_programs_within_stay_what_they_are() -> None:
+    def function(c: Any, x: Any, y: Any) -> Any:
+        low, high = jax.lax.cond(x[0] > 0.0, lambda: (x, y), lambda: (y, x))
+        return jax.lax.fori_loop(0, 3, lambda i, total: total + low, y) + high
+
+    check_same(function, C, X, Y)

@@ -1,0 +1,156 @@
+"""Tangents in the kernel, interpreted: the scan's, central differences', and one by one what they are side by side."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmpc import Experiment, Params
+from jaxmpc.closed_loops import ClosedLoops, close_loops
+from jaxmpc.engine import kernel
+from jaxmpc.engine.kernel import Kernel
+from jaxmpc.engine.lane_ops import lane_ops
+from jaxmpc.engine.pallas_triton import Shape
+from jaxmpc.engine.scan import Scan
+from jaxmpc.engine.scenario import program_spec, scenario_data
+from jaxmpc.engine.tangents import moved, pushed
+from jaxmpc.xla import ops
+from tests.jaxmpc.arm_tables import NO_COUNTS, TABLE, changed
+
+# Steps that stretches do not divide. No counts: through those a slope is the tuner's, and no difference finds it.
+LINEAR = changed(Experiment.published("table-1"), duration=0.26, settle=0.1, sensor=NO_COUNTS, reference={"z": -1.0})
+ARM = changed(
+    TABLE,
+    duration=0.13,
+    settle=0.04,
+    stiffness=(550.0,),
+    reference={"z": 0.0},
+    sensor=NO_COUNTS,
+    arm={"encoder_counts": 0, "torque_lsb": 0.0, "torque_step_limit": (0.0,) * 4},
+)
+POINT = np.array([0.02, -0.03, 0.05])
+
+
+class Loop:
+    """Metrics of three controllers by the logarithms of three factors: on two gains and on the damping."""
+
+    def __init__(self, experiment: Experiment, dtype: str = "float64"):
+        self.dtype = dtype
+        self.spec, self.data = program_spec(experiment), scenario_data(experiment, swinging=True)
+        params = Params.published("text").with_columns({"lam": np.array([0.3, 0.4, 0.5])})
+        self.loops = jax.jit(close_loops)(params, self.data.stiffness, self.data.path)
+
+    def metrics(self, engine: Any, z: Any) -> Any:
+        loops: ClosedLoops = self.loops
+        a, b, c = jnp.exp(z)
+        gains = loops.gains._replace(input_gain=a * loops.gains.input_gain, K=b * loops.gains.K)
+        contacts = loops.contacts._replace(stiffness=c * loops.contacts.stiffness)
+        return engine.simulate(self.spec, gains, c * loops.K2, contacts, self.data, self.dtype).metrics
+
+    def jacobian(self, engine: Any) -> Any:
+        return jax.jit(jax.jacfwd(lambda z: self.metrics(engine, z)))(POINT)
+
+    def differences(self, step: float) -> Any:
+        run = jax.jit(lambda z: self.metrics(Scan(), z))
+        pairs = [(run(POINT + step * row), run(POINT - step * row)) for row in np.eye(3)]
+        each = [jax.tree.map(lambda high, low: (high - low) / (2.0 * step), *pair) for pair in pairs]
+        return jax.tree.map(lambda *columns: np.stack(columns, axis=-1), *each)
+
+
+def check(found: Any, wanted: Any, tolerance: float) -> None:
+    """Within so much of the largest slope of each metric."""
+    for name, one, other in zip(found._fields, found, wanted, strict=True):
+        largest = np.abs(other).max()
+        assert np.isfinite(one).all(), name
+        np.testing.assert_allclose(one, other, rtol=0, atol=tolerance * largest + 1e-14, err_msg=name)
+
+
+def test_slopes_of_the_linear_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scan's to rounding; central differences', whose own error is the step squared; three directions in twos."""
+    monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 2))
+    loop = Loop(LINEAR)
+    found = loop.jacobian(Kernel())
+    check(found, loop.jacobian(Scan()), 1e-10)
+    check(found, loop.differences(1e-5), 1e-6)
+    one = jax.jit(lambda z, along: jax.jvp(lambda z: loop.metrics(Kernel(), z), (z,), (along,)))(POINT, np.eye(3)[2])
+    np.testing.assert_array_equal(one[0].rms, jax.jit(lambda z: loop.metrics(Kernel(), z))(POINT).rms)
+    np.testing.assert_allclose(one[1].rms, found.rms[..., 2], rtol=1e-12)
+
+
+@pytest.mark.oracle
+def test_slopes_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With friction, which is smooth. Torques and swing come to 1e-5 of their own by differences."""
+    monkeypatch.setattr(kernel, "ARM_ALONG", Shape(4, 1, 3))
+    loop = Loop(ARM)
+    found = loop.jacobian(Kernel())
+    check(found, loop.jacobian(Scan()), 1e-9)
+    check(found, loop.differences(1e-5), 1e-5)
+
+
+def test_slopes_of_the_linear_loop_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the step that a GPU takes, put together with fewer instructions."""
+    monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 3))
+    check(Loop(LINEAR, "float32").jacobian(Kernel()), Loop(LINEAR).jacobian(Scan()), 1e-4)
+
+
+@pytest.mark.oracle
+def test_slopes_of_the_arm_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Likewise, of near angles' sines too."""
+    monkeypatch.setattr(kernel, "ARM_ALONG", Shape(4, 1, 3))
+    check(Loop(ARM, "float32").jacobian(Kernel()), Loop(ARM).jacobian(Scan()), 1e-2)
+
+
+def test_slopes_by_signals_are_refused() -> None:
+    loop = Loop(LINEAR)
+
+    def by_noise(noise: Any) -> Any:
+        data = loop.data._replace(signals=loop.data.signals._replace(noise=noise))
+        given = loop.loops
+        return Kernel().simulate(loop.spec, given.gains, given.K2, given.contacts, data, "float64").metrics.rms
+
+    noise = loop.data.signals.noise
+    with pytest.raises(TypeError, match="scan"):
+        jax.eval_shape(lambda noise: jax.jvp(by_noise, (noise,), (noise,)), noise)
+
+
+def test_directions_of_controllers_that_differ_too() -> None:
+    """Where a batch of points has each its own direction nothing is shared, and nothing else changes."""
+    loop = Loop(changed(LINEAR, duration=0.02, settle=0.0, reference={"z": 0.0}))
+    points = np.stack([POINT, 2.0 * POINT])
+
+    def slopes(engine: Any) -> Any:
+        def one(z: Any) -> Any:
+            return jax.jvp(lambda z: loop.metrics(engine, z).rms, (z,), (jnp.ones(3),))[1]
+
+        return jax.jit(jax.vmap(one))(points)
+
+    np.testing.assert_allclose(slopes(Kernel()), slopes(Scan()), rtol=1e-9)
+
+
+def test_what_moves_is_what_has_a_slope() -> None:
+    def program(x: Any, y: Any) -> Any:
+        return x * y, 0.0 * x, jnp.floor(x), jnp.where(x > 0.0, y, 1.0), ops.floor(x), jnp.where(y > 0.0, x, y), x > y
+
+    closed = jax.make_jaxpr(program)(1.5, 2.5)
+    assert moved(closed, (True, False)) == (True, False, False, False, True, True, False)
+    assert moved(closed, (False, False)) == (False,) * 7
+
+
+def test_pushed_is_jvp_of_what_moves() -> None:
+    def function(x: Any, y: Any) -> Any:
+        return {"a": x * y, "b": jnp.sin(y)}
+
+    found, slopes = pushed(function, (2.0, 3.0), (False, True), [[1.0], [-2.0]])
+    assert found == function(2.0, 3.0)
+    np.testing.assert_allclose(slopes, np.outer([1.0, -2.0], [2.0, np.cos(3.0)]))
+    assert pushed(function, (2.0, 3.0), (), []) == (found, [])
+
+
+def test_slopes_of_extremes_are_those_of_one_of_them() -> None:
+    lanes = lane_ops(jnp.float64)
+    for function, wanted in ((lanes.maximum, (0.0, 1.0, 1.0)), (lanes.minimum, (1.0, 1.0, 0.0))):
+        found = [float(jax.grad(function)(x, 2.0)) for x in (1.0, 2.0, 3.0)]
+        np.testing.assert_array_equal(found, wanted)
+    assert np.isfinite(jax.grad(lanes.minimum)(2.0, jnp.inf))
