@@ -1,7 +1,7 @@
 """Kernel, scan and stock MJX on one GPU, each at several batch sizes, in one run: `python -m benchmarks.gpu`.
 
 An axis-step is one sample of one axis of the linear loop, an arm step one of everything on the arm. Floor: 84
-operations of an axis-step and some 3 200 of an arm step, of which a multiplication and an addition may be one
+operations of an axis-step and some 2 200 of an arm step, of which a multiplication and an addition may be one
 instruction; printed beside each rate is the share of the chip's instructions that so many operations would be.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-AXIS_OPERATIONS, ARM_OPERATIONS = 84, 3200
+AXIS_OPERATIONS, ARM_OPERATIONS = 84, 2200
 LANES_OF_A_MULTIPROCESSOR = 128
 SECONDS = {"linear": 10.0, "wam": 4.0, "mjx": 2.7}
 

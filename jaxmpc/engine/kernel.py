@@ -22,8 +22,8 @@ from jaxmpc.xla import ops
 
 ARM, AXIS = Shape(64, 2), Shape(64, 1)
 """Lanes and warps of a program of the arm, and of the linear loop (measured)."""
-ARM_ALONG, AXIS_ALONG = Shape(64, 2, 2), Shape(64, 2, 4)
-"""Lanes, warps and directions of a program that differentiates."""
+ARM_ALONG, AXIS_ALONG = Shape(64, 2, 1), Shape(64, 1, 1)
+"""The same of a program that differentiates, in one direction: two that share the run have too many registers (measured)."""
 
 
 class Kernel(Engine):
