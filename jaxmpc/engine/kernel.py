@@ -23,7 +23,7 @@ from jaxmpc.xla import ops
 ARM, AXIS = Shape(64, 2), Shape(64, 1)
 """Lanes and warps of a program of the arm, and of the linear loop (measured)."""
 ARM_ALONG, AXIS_ALONG = Shape(64, 2, 1), Shape(64, 1, 1)
-"""The same of a program that differentiates, in one direction: two that share the run have too many registers (measured)."""
+"""The same of one that differentiates, in one direction: two that share a run need too many registers (measured)."""
 
 
 class Kernel(Engine):
