@@ -69,7 +69,7 @@ def decide(
     judged = ops.clip(10.0 * (state.learned - 0.8), 0.0, 1.0)
     swinging = ops.clip(5.0 * (backed_off - 0.1), 0.0, 2.0)
     upset = ops.clip(2.0 * (state.upset / UPSET**2 - 1.0), 0.0, 2.0)
-    doubt = ops.maximum(ops.maximum(judged * ops.clip(ringing, 0.0, 2.0), upset), swinging)
+    doubt = ops.maximum(ops.maximum(ops.clip(judged * ringing, 0.0, 2.0), upset), swinging)
     calm = ops.clip(-ringing, 0.0, 1.0)
     quiet = settled * (1.0 - state.listening)
     learning = T_s * quiet * (LEARNING * (1.0 - judged) + FORGETTING * calm)

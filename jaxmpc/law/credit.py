@@ -33,7 +33,7 @@ seconds at most; and in addition without a push, and after one that is too large
 SPENT, FORFEITED = 20.0, 800.0
 """Rates at which it goes while doubt takes the control away, and with nothing proven in addition [1/s]: the control is
 gone after some 7 ms."""
-PROVING, FORGETTING = 0.35, 0.4
+PROVING, FORGETTING = 0.35, 0.8
 """Time constants with which the schedule is proven and that is forgotten [s]."""
 
 

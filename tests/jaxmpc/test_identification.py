@@ -174,7 +174,7 @@ def test_a_tissue_that_stays_is_not_doubted(fly) -> None:
     assert np.all(flown.listening[6000:] == 0.0)
 
 
-@pytest.mark.parametrize(("stiffness", "push"), [(375.0, 2.0), (1250.0, 3.0)])
+@pytest.mark.parametrize(("stiffness", "push"), [(375.0, 2.3), (1250.0, 3.0)])
 def test_early_beats_in_a_row_take_the_control_for_moments_alone(fly, stiffness, push) -> None:
     flown = fly(lambda t: stiffness, 20.0, push=push)
     held = [flown.authority[round(beat / T_s) :] for beat in EARLY]

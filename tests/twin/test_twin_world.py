@@ -31,6 +31,7 @@ FLOATS = SimpleNamespace(
     sqrt=math.sqrt,
     floor=math.floor,
     maximum=max,
+    near=lambda angle, other: angle,
     where=lambda condition, this, that: this if condition else that,
 )
 NONE = (0.0, 0.0, 0.0, 0.0)
