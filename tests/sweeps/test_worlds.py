@@ -41,7 +41,7 @@ def made(axes: dict[str, Any], kind: str = "grid", **more: Any) -> SweepSpec:
 
 def computed(spec: SweepSpec) -> Result:
     plan = make_plan(spec)
-    return Result(plan, compute(plan, 0, len(plan.rows)))
+    return Result.of(plan, compute(plan, 0, len(plan.rows)), np.ones(len(plan.rows), bool))
 
 
 def agrees_with_evaluate(result: Result, places: range) -> int:
