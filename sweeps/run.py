@@ -1,6 +1,7 @@
 """Compute what is missing of a sweep, chunk by chunk; the same spec gives the same bits however it got there."""
 
 import math
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,6 +31,8 @@ from sweeps.spec import SweepSpec
 from sweeps.tables import OnError
 from sweeps.writer import Writer
 
+HEAD_START = 4.0
+"""For so long the rows' own program is alone: where it is compiled already, tracing another would only delay it [s]."""
 MakeCrew = Callable[[Callable[[Columns], None]], Crew]
 """Makes whoever computes, of what wants to see the columns of each round."""
 
@@ -79,7 +82,7 @@ def run(
         SweepStoppedError: A chunk could not be computed, and `spec.on_error` is "stop".
         OSError: The folder cannot be written, or the disk is full.
     """
-    folder, plan = Path(folder), make_plan(spec)
+    folder, plan, started = Path(folder), make_plan(spec), threading.Event()
     if chunk is not None:
         check_chunk(plan, chunk)
 
@@ -94,7 +97,12 @@ def run(
             with progress_of("sweep", len(found.there), enabled=progress) as tick, gently(gentle) as stop:
                 count = _Count(tick, plan.goal, share)
                 pace = Pace(chunk, round_of(plan), plan.largest_chunk)
-                makers = crew(count.add)
+
+                def made(columns: Columns) -> None:
+                    started.set()
+                    count.add(columns)
+
+                makers = crew(made)
                 try:
                     with Writer() as writer:
                         for piece in makers.work(plan, share, leases, pace, lambda: stop() or writer.failed):
@@ -113,7 +121,7 @@ def run(
 
     with Beside(1) as beside:
         if (ahead := _worth_readying(plan, folder, crew)) is not None:
-            beside.submit(baseline, ahead)
+            beside.submit(_readied, ahead, started)
         result = computed(plan, folder, chunk)
     if not result.complete:
         return result
@@ -130,6 +138,11 @@ def _worth_readying(plan: Plan, folder: Path, crew: MakeCrew) -> Plan | None:
     """What has the program compiled that runs rows once more, if it is to be while the first ones run."""
     begun = (folder / "float64").is_dir()
     return likely_in_float64(plan) if crew is Alone and compiles_long() and not begun else None
+
+
+def _readied(plan: Plan, started: threading.Event) -> None:
+    started.wait(HEAD_START)
+    baseline(plan)
 
 
 def _keep(

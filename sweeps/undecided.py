@@ -132,10 +132,14 @@ def _near_limits(plan: Plan, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     """Whether force or residual came so near to a limit that another program may be beyond it, (rows, stiffness)."""
     limit = _setting(plan, columns, "force_limit")
     found = np.zeros(columns["status"].shape, bool)
-    for name, most in (("peak_force", limit), ("peak_force", HIGHEST_FORCE), ("peak_error", HIGHEST_ERROR)):
+    for name, limits in (("peak_force", (limit, HIGHEST_FORCE)), ("peak_error", (HIGHEST_ERROR,))):
         if name in columns:
-            error, at = METRICS[name].float32_error, np.broadcast_to(most, len(found))[:, None]
+            error = METRICS[name].float32_error
+            # numpy reduces a dimension of three ten times slower than it compares three arrays.
+            x, y, z = np.moveaxis(columns[name].astype(float), 2, 0)
             # The arm is judged by the length of the force, which lies between its largest component and this.
-            largest, length = columns[name].max(axis=2), np.sqrt(np.sum(columns[name].astype(float) ** 2, axis=2))
-            found |= (largest * (1.0 - error) < at) & (at <= length * (1.0 + error))
+            largest, length = np.maximum(np.maximum(x, y), z), np.sqrt(x * x + y * y + z * z)
+            for most in limits:
+                at = np.broadcast_to(most, len(found))[:, None]
+                found |= (largest * (1.0 - error) < at) & (at <= length * (1.0 + error))
     return found

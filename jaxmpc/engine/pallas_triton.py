@@ -13,7 +13,7 @@ from jax.experimental.pallas import triton
 
 from jaxmpc.engine.episode import STRETCH, Episode
 from jaxmpc.engine.fewer_operations import Inverses, lean
-from jaxmpc.engine.lanes import Layout, Track, at_sample, unpacked
+from jaxmpc.engine.lanes import Layout, Track, at_sample, each_in_turn, unpacked
 from jaxmpc.engine.tangents import movable, only, pushed
 from jaxmpc.law.ops import Ops
 
@@ -140,9 +140,17 @@ def run_episodes(
         run, slopes = jax.lax.fori_loop(jnp.int32(0), jnp.int32(stretches), stretch, state)
         left, after = pushed(found, (run,), moves, slopes)
         values = [*jax.tree.leaves(left), *(slope for each in after for slope in only(found_moves, each))]
-        for row, value in enumerate(_as_lanes(values, scalar)):
+        values = _as_lanes(values, scalar)
+
+        def write(row: Any, state: Any) -> Any:
             start = (((part * rows + row) * groups + group) * blocks + block) * cut.lanes
-            out[pallas.ds(start, cut.lanes)] = value
+            chosen = values[0]
+            for i, value in enumerate(values[1:], 1):
+                chosen = jnp.where(row == i, value, chosen)
+            out[pallas.ds(start, cut.lanes)] = chosen
+            return state
+
+        each_in_turn(rows, write, ())
 
     leaves, tree = jax.tree.flatten(like)
     rows = len(leaves) + cut.directions * sum(found_moves)

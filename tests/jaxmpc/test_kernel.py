@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.core import jaxprs_in_params
 
 from jaxmpc import Experiment, Params
 from jaxmpc.closed_loops import close_loops
@@ -71,6 +72,25 @@ def test_arm_is_the_scans_to_rounding(name: str, monkeypatch: pytest.MonkeyPatch
     params = varied(Params.published(name), K2=np.float64(Params.published(name).K2) * np.array([1.0, 1.1, 1.2]))
     found, expected = (results(engine, params, ARM, "float64") for engine in (Kernel(), Scan()))
     check_equal(found, expected, 1e-9)
+
+
+def accesses(jaxpr: Any) -> int:
+    """How often a program reads or writes several lanes of memory at once, in the kernels within it."""
+    found = 0
+    for equation in jaxpr.eqns:
+        # A write gives what was there before.
+        found += equation.primitive.name in ("get", "swap") and equation.outvars[0].aval.shape != ()
+        found += sum(map(accesses, jaxprs_in_params(equation.params)))
+    return found
+
+
+def test_a_kernel_has_an_access_for_each_kind_of_constants_and_one_for_its_results() -> None:
+    """Each one more costs the compiler a third of a second on the arm."""
+    spec, data = program_spec(ARM), scenario_data(ARM)
+    loops = closed(varied(Params(), K2=[10.0, 11.0]), data.stiffness, data.path)
+    jaxpr = jax.make_jaxpr(lambda: Kernel().simulate(spec, loops.gains, loops.K2, loops.contacts, data, "float32"))()
+    kinds = 2  # what is a controller's own, and what is a tissue's
+    assert accesses(jaxpr.jaxpr) == kinds + 1
 
 
 def test_samples_come_from_the_scan() -> None:
