@@ -1,7 +1,7 @@
 """Closed-loop steps per second on the arm, beside its peers, in one run: `python -m benchmarks.arm_throughput`.
 
 A closed-loop step is one sample of everything: arm, friction, tissue, noise, quantisers, three cascades, computed
-torque on a second model, metrics. Floor: some 2 700 arithmetic operations a step, of which 24 are sines and cosines.
+torque on a second model, metrics. Floor: some 2 200 arithmetic operations a step.
 """
 
 import argparse

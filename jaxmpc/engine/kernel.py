@@ -22,8 +22,9 @@ from jaxmpc.xla import ops
 
 ARM, AXIS = Shape(64, 2), Shape(64, 1)
 """Lanes and warps of a program of the arm, and of the linear loop (measured)."""
-ARM_ALONG, AXIS_ALONG = Shape(64, 2, 1), Shape(64, 1, 1)
-"""The same of one that differentiates, in one direction: two that share a run need too many registers (measured)."""
+ARM_ALONG, AXIS_ALONG = Shape(64, 2, 1), Shape(32, 1, 2)
+"""The same of one that differentiates: on the arm two directions that share a run need too many registers, on the
+linear loop more than two (measured)."""
 
 
 class Kernel(Engine):

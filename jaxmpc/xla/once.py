@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -34,7 +34,7 @@ class JitOnce:
         """Wrap a traceable function; `static_argnames` as in `jax.jit`."""
         self._function, self._static = function, tuple(static_argnames)
         self._plain = jax.jit(function, static_argnames=self._static)
-        self._kept: dict[str, Callable[..., Any] | None] = {}
+        self._kept: dict[str, partial[Any] | None] = {}
         self._by_platform: dict[str, Any] = {}
 
     @property
@@ -49,7 +49,15 @@ class JitOnce:
             return self._plain(*args, **kwargs)
         return (self._from_store(args, kwargs) or self._quick)(*args, **kwargs)
 
-    def _from_store(self, args: Any, kwargs: Any) -> Callable[..., Any] | None:
+    def compile(self, *args: Any, **kwargs: Any) -> None:
+        """Compile for arrays like these, on their devices, before they are there to run with."""
+        arguments, static = self._named(args, kwargs)
+        if (kept := self._from_store(args, kwargs)) is None:
+            self._quick.lower(**arguments, **static).compile()
+        else:
+            kept.keywords["quick"].lower(*jax.tree.leaves(arguments)).compile()
+
+    def _from_store(self, args: Any, kwargs: Any) -> "partial[Any] | None":
         arguments, static = self._named(args, kwargs)
         name = store.name_of(self._function, arguments, static)
         if name is None:
@@ -59,13 +67,11 @@ class JitOnce:
             self._kept[name] = None if found is None else self._as_called(found)
         return self._kept[name]
 
-    def _as_called(self, found: store.Kept) -> Callable[..., Any]:
-        quick = jax.jit(found.call, compiler_options=_options(platform()))
-
-        def run(*args: Any, **kwargs: Any) -> Any:
+    def _as_called(self, found: store.Kept) -> "partial[Any]":
+        def run(*args: Any, quick: Any, **kwargs: Any) -> Any:
             return found._replace(call=quick)(**self._named(args, kwargs)[0])
 
-        return run
+        return partial(run, quick=jax.jit(found.call, compiler_options=_options(platform())))
 
     def _named(self, args: Any, kwargs: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         """Arguments by name: arrays, and static ones."""

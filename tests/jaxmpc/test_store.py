@@ -83,6 +83,24 @@ def test_one_object_serves_several_programs(folder: Path) -> None:
     assert len(list(folder.iterdir())) == 2
 
 
+def test_what_was_compiled_ahead_is_not_traced_or_compiled_again(folder: Path) -> None:
+    ahead = JitOnce(wave, static_argnames=("kind",))
+    ahead.compile(*ARGUMENTS, kind="sin")
+    compiled: list[str] = []
+
+    def heard(event: str, seconds: float, **_: Any) -> None:
+        if "backend_compile" in event:
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    try:
+        found = ahead(*ARGUMENTS, kind="sin")
+    finally:
+        jax.monitoring.unregister_event_duration_listener(heard)
+    assert (TRACED, compiled) == (["sin"], [])
+    np.testing.assert_allclose(found.parts[0], 0.3 * np.sin(ARGUMENTS[0]), rtol=1e-15)
+
+
 def test_blocks_of_another_process_are_not_traced_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the number of rows: what is kept is one block, and what all share keeps its structure, None too."""
     rows = np.linspace(0.0, 3.0, 100)

@@ -26,7 +26,7 @@ from tuning.trials import drawn
 from tuning.trials.drawn import Job
 from tuning.trials.makers import made_by_processes
 from tuning.trials.outcomes import Outcomes
-from tuning.trials.program import Met, Shared, wave_program
+from tuning.trials.program import Met, Shared, compile_ahead, wave_program
 
 BLOCKS_OF_A_WAVE = 35
 """Blocks that a GPU runs at a time, 25 200 trials: half as many take it as long (measured)."""
@@ -72,6 +72,9 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
     # Devices never wait: beside the waves that run, one more is put together, and those that have run are judged.
     with Beside(len(devices)) as running, Beside(1) as judging:
         ran, judged = deque[Future[Outcomes]](), deque[Future[list[Outcomes]]]()
+        if not on_cpu:
+            # While the first wave is made.
+            running.submit(_compiled, programs, (_sent(_blank(constants), devices[0]),) * size)
         for wave, device in zip(waves, cycle(devices), strict=False):
             met = [block if on_cpu else _sent(block, device) for block in islice(blocks, len(wave))]
             met += met[-1:] * (size - len(wave))
@@ -114,6 +117,21 @@ def _met(job: Job, varied: tuple[int, ...], first: int) -> Met:
         np.concatenate([getattr(each, name) for each in signals]) for name in ("heart", "between", "noise")
     )
     return Met(heart, between, noise, own)
+
+
+def _blank(constants: _Constants) -> Met:
+    """Nothing, in the form of a block."""
+    signals = constants.signals
+    heart, between, noise = (
+        np.zeros((drawn.POOL, *np.shape(each)[1:])) for each in (signals.heart, signals.between, signals.noise)
+    )
+    return Met(heart, between, noise, np.zeros((drawn.POOL, drawn.COPIES, len(constants.varied))))
+
+
+@in_float64
+def _compiled(programs: list[_Program], met: tuple[Met, ...]) -> None:
+    for program in programs:
+        compile_ahead(program.run, met, program.shared)
 
 
 def _programs(job: Job, constants: _Constants, size: int) -> list[_Program]:

@@ -111,10 +111,6 @@ class Job:
         own = {"stiffness": (float(np.exp(low + (high - low) * stiffness)),), "arm": arm}
         return replace(drawn, motion=shared.motion, sensor=shared.sensor, **own)
 
-    def trials(self, count: int) -> list[Experiment]:
-        """The first ones."""
-        return [self.trial(number) for number in range(count)]
-
 
 _scenario = lru_cache(maxsize=POOL)(scenario)
 

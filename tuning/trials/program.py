@@ -73,6 +73,12 @@ def wave_program(
     return partial(_of_blocks, **static)
 
 
+def compile_ahead(program: Callable[[tuple[Met, ...], Shared], Any], met: tuple[Met, ...], shared: Shared) -> None:
+    """Compile a GPU's `wave_program` for blocks like these."""
+    assert isinstance(program, partial)
+    _of_blocks.compile(met, shared, **program.keywords)
+
+
 def _of_motions(met: Met, shared: Shared, *, spec: ProgramSpec, varied: tuple[int, ...], structure: Any) -> Any:
     """What `wave_program` returns, of some motions."""
     params, path = shared.params, shared.path
