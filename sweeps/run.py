@@ -122,7 +122,10 @@ def run(
     with Beside(1) as beside:
         if (ahead := _worth_readying(plan, folder, crew)) is not None:
             beside.submit(_readied, ahead, started)
-        result = computed(plan, folder, chunk)
+        try:
+            result = computed(plan, folder, chunk)
+        finally:
+            started.set()  # where no row was missing nobody has
     if not result.complete:
         return result
     if (again := plan_in_float64(plan, result.columns)) is not None:

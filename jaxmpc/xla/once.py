@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -34,7 +34,7 @@ class JitOnce:
         """Wrap a traceable function; `static_argnames` as in `jax.jit`."""
         self._function, self._static = function, tuple(static_argnames)
         self._plain = jax.jit(function, static_argnames=self._static)
-        self._kept: dict[str, partial[Any] | None] = {}
+        self._kept: dict[str, store.Kept | None] = {}
         self._by_platform: dict[str, Any] = {}
 
     @property
@@ -47,31 +47,28 @@ class JitOnce:
         """Compile if need be, and run."""
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, kwargs))):
             return self._plain(*args, **kwargs)
-        return (self._from_store(args, kwargs) or self._quick)(*args, **kwargs)
+        kept = self._from_store(args, kwargs)
+        return self._quick(*args, **kwargs) if kept is None else kept(**self._named(args, kwargs)[0])
 
     def compile(self, *args: Any, **kwargs: Any) -> None:
         """Compile for arrays like these, on their devices, before they are there to run with."""
-        arguments, static = self._named(args, kwargs)
-        if (kept := self._from_store(args, kwargs)) is None:
-            self._quick.lower(**arguments, **static).compile()
+        kept = self._from_store(args, kwargs)
+        if kept is None:
+            self._quick.lower(*args, **kwargs).compile()
         else:
-            kept.keywords["quick"].lower(*jax.tree.leaves(arguments)).compile()
+            compiled: Any = kept.call
+            compiled.lower(*jax.tree.leaves(self._named(args, kwargs)[0])).compile()
 
-    def _from_store(self, args: Any, kwargs: Any) -> "partial[Any] | None":
+    def _from_store(self, args: Any, kwargs: Any) -> store.Kept | None:
         arguments, static = self._named(args, kwargs)
         name = store.name_of(self._function, arguments, static)
         if name is None:
             return None
         if name not in self._kept:
             found = store.program(name, self._function, arguments, static)
-            self._kept[name] = None if found is None else self._as_called(found)
+            quick = found and found._replace(call=jax.jit(found.call, compiler_options=_options(platform())))
+            self._kept[name] = quick
         return self._kept[name]
-
-    def _as_called(self, found: store.Kept) -> "partial[Any]":
-        def run(*args: Any, quick: Any, **kwargs: Any) -> Any:
-            return found._replace(call=quick)(**self._named(args, kwargs)[0])
-
-        return partial(run, quick=jax.jit(found.call, compiler_options=_options(platform())))
 
     def _named(self, args: Any, kwargs: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         """Arguments by name: arrays, and static ones."""

@@ -83,7 +83,12 @@ def test_one_object_serves_several_programs(folder: Path) -> None:
     assert len(list(folder.iterdir())) == 2
 
 
-def test_what_was_compiled_ahead_is_not_traced_or_compiled_again(folder: Path) -> None:
+@pytest.mark.parametrize("kept", [True, False])
+def test_what_was_compiled_ahead_is_not_traced_or_compiled_again(
+    folder: Path, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not kept:
+        monkeypatch.setattr(store, "_folder", None)
     ahead = JitOnce(wave, static_argnames=("kind",))
     ahead.compile(*ARGUMENTS, kind="sin")
     compiled: list[str] = []
