@@ -83,27 +83,44 @@ def test_one_object_serves_several_programs(folder: Path) -> None:
     assert len(list(folder.iterdir())) == 2
 
 
-@pytest.mark.parametrize("kept", [True, False])
-def test_what_was_compiled_ahead_is_not_traced_or_compiled_again(
-    folder: Path, kept: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if not kept:
-        monkeypatch.setattr(store, "_folder", None)
-    ahead = JitOnce(wave, static_argnames=("kind",))
-    ahead.compile(*ARGUMENTS, kind="sin")
-    compiled: list[str] = []
+@pytest.fixture
+def compilations() -> Iterator[list[str]]:
+    """One entry for every program that XLA has compiled."""
+    found: list[str] = []
 
     def heard(event: str, seconds: float, **_: Any) -> None:
         if "backend_compile" in event:
-            compiled.append(event)
+            found.append(event)
 
     jax.monitoring.register_event_duration_secs_listener(heard)
-    try:
-        found = ahead(*ARGUMENTS, kind="sin")
-    finally:
-        jax.monitoring.unregister_event_duration_listener(heard)
-    assert (TRACED, compiled) == (["sin"], [])
+    yield found
+    jax.monitoring.unregister_event_duration_listener(heard)
+
+
+def test_what_was_compiled_ahead_is_not_traced_or_compiled_again(folder: Path, compilations: list[str]) -> None:
+    ahead = JitOnce(wave, static_argnames=("kind",))
+    ahead.compile(*ARGUMENTS, kind="sin")
+    assert compilations
+    compilations.clear()
+    found = ahead(*ARGUMENTS, kind="sin")
+    assert (TRACED, compilations) == (["sin"], [])
     np.testing.assert_allclose(found.parts[0], 0.3 * np.sin(ARGUMENTS[0]), rtol=1e-15)
+
+
+def test_so_is_what_no_file_keeps(folder: Path, compilations: list[str]) -> None:
+    """A nested function's program has no name to be kept under."""
+
+    def own(t: Any) -> Any:
+        TRACED.append("own")
+        return jnp.sin(t)
+
+    ahead = JitOnce(own)
+    ahead.compile(ARGUMENTS[0])
+    assert compilations
+    compilations.clear()
+    found = ahead(ARGUMENTS[0])
+    assert (TRACED, compilations, [*folder.parent.rglob("*.npz")]) == (["own"], [], [])
+    np.testing.assert_allclose(found, np.sin(ARGUMENTS[0]), rtol=1e-15)
 
 
 def test_blocks_of_another_process_are_not_traced_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
