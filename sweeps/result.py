@@ -25,17 +25,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxmpc.experiment import Experiment
-from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps import chunks, labelled, store
-from sweeps.axis import SweepAxis
 from sweeps.decided import Decided, read_decided, with_decided
-from sweeps.front import front
-from sweeps.goal import MEASURED, SweepGoal
-from sweeps.judged import Point, baseline_of, worst
+from sweeps.goal import SweepGoal
+from sweeps.judged import Point, baseline_of
 from sweeps.merging import merge
 from sweeps.plan import Plan
+from sweeps.ranked_rows import SweepRows
 from sweeps.rows import experiment_of, meetings, stiffness_met, world_of
 from sweeps.undecided import IN_FLOAT64, undecided
 
@@ -48,20 +45,15 @@ SCREEN, FULL, AROUND, RERUN = "-screen", "-full", "-around", "-rerun"
 
 
 @dataclass(frozen=True)
-class Result:
-    """Rows of a sweep; `result["rms"]` is a column, shape (rows, stiffness, 3).
+class Result(SweepRows):
+    """Rows of a sweep with all that is known of how they came about; `result["rms"]` is a column.
 
     Attributes:
-        plan: What was swept.
-        columns: Row number, entries of the axes, status, metrics and margins (`jaxmpc.quantities`); and whether the row
-            ran in float64, as those of a float32 sweep do that it cannot decide.
         baseline: The base controller on the base experiment, once the sweep is finished.
         stages: Of a refined sweep: each stage's name and rows, in order.
         decided: What the rows that ran once more in float64 were in float32; None where none did.
     """
 
-    plan: Plan
-    columns: Mapping[str, np.ndarray]
     baseline: Point | None = None
     stages: tuple[tuple[str, "Result"], ...] = field(default=(), compare=False, repr=False)
     decided: Decided | None = field(default=None, compare=False, repr=False)
@@ -106,27 +98,6 @@ class Result:
         tissues = f"{len(self.plan.stiffness)} stiffnesses [N/m]"
         return f"Result of a sweep of {swept}\n  {len(self)} rows × {tissues}: {counts}"
 
-    def __contains__(self, name: object) -> bool:
-        return name in self.columns
-
-    def __len__(self) -> int:
-        return len(self.columns["row"])
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        if name not in self.columns:
-            raise InputError("column", name, "a column of the result", nearest(name, list(self.columns)))
-        return self.columns[name]
-
-    @property
-    def goal(self) -> SweepGoal:
-        """How rows are ranked."""
-        return self.plan.goal
-
-    @property
-    def axes(self) -> tuple[SweepAxis, ...]:
-        """What was swept."""
-        return self.plan.space.axes
-
     @property
     def complete(self) -> bool:
         """Whether every planned row is here, and every one that was to run once more in float64."""
@@ -144,87 +115,15 @@ class Result:
         return self.plan.hash_of(self.columns)
 
     @cached_property
-    def ok(self) -> np.ndarray:
-        """Whether each row's status is OK at every stiffness, (rows,)."""
-        good: np.ndarray = (self["status"] == Status.OK).all(axis=1)
-        return good
-
-    @cached_property
-    def feasible(self) -> np.ndarray:
-        """Whether each row is OK at every stiffness and keeps every constraint of the spec, (rows,)."""
-        return self._within(self.goal)
-
-    @cached_property
     def tissues(self) -> np.ndarray:
         """Stiffnesses that each row met, (rows, stiffness) [N/m]."""
         if not np.isnan(self.plan.stiffness).any():
             return np.broadcast_to(self.plan.stiffness, (len(self), len(self.plan.stiffness)))
         return stiffness_met(self.plan.canonical["experiment"], self.axes, self.columns)
 
-    def worst(self, name: str) -> np.ndarray:
-        """A metric or margin at its worst over stiffness and axis, (rows,); ±∞ where there is none.
-
-        Raises:
-            InputError: It was not kept.
-        """
-        if name not in self.plan.kept:
-            raise InputError("quantity", name, "kept by the sweep", nearest(name, list(self.plan.kept)))
-        return worst(self.columns, name)
-
     def undecided(self, goal: SweepGoal | None = None) -> np.ndarray:
         """Places of the rows whose status or rank is chance in float32, and that did not run in float64."""
         return undecided(self.plan, self.columns, goal)
-
-    def take(self, places: "np.ndarray | slice") -> "Result":
-        """Some rows, in the order given, by their places in this result."""
-        return replace(self, columns={name: values[places] for name, values in self.columns.items()})
-
-    def place(self, row: int) -> int:
-        """Where a row stands in this result, by its number.
-
-        Raises:
-            InputError: It is not here.
-        """
-        found = np.flatnonzero(self["row"] == row)
-        if not len(found):
-            bound = f"one of the {len(self)} rows, {self['row'].min()} … {self['row'].max()}" if len(self) else "there"
-            raise InputError("row", row, bound, "Rows with Hu > Hp, and rows not yet computed, are not here.")
-        return int(found[0])
-
-    def ranked(self, goal: SweepGoal | None = None) -> np.ndarray:
-        """Places of the good rows, the best first."""
-        goal = goal or self.goal
-        values = self.worst(goal.best)
-        order = np.argsort(values if MEASURED[goal.best].ceiling else -values, kind="stable")
-        good = np.isfinite(values) & self._within(goal)
-        places: np.ndarray = order[good[order]]
-        return places
-
-    def best(self, n: int = 10, max_M_s: float | None = None) -> "Result":
-        """The best of the rows that keep the constraints.
-
-        Args:
-            n: How many at most.
-            max_M_s: Largest accepted worst-case peak sensitivity [-]; None is the spec's.
-        """
-        goal = self.goal if max_M_s is None else self.goal.limited({"M_s": max_M_s})
-        return self.take(self.ranked(goal)[:n])
-
-    def pareto(self, *goals: str, feasible: bool = False) -> "Result":
-        """The rows that no other beats in every goal at once, ordered by the last goal.
-
-        Args:
-            goals: Metrics and margins, each at its worst; by default the residual and M_s.
-            feasible: Whether rows that break a constraint stay out of it.
-
-        Raises:
-            InputError: A goal was not kept by the sweep.
-        """
-        names = goals or ("rms", "M_s")
-        table = np.stack([self.worst(name) * (1.0 if MEASURED[name].ceiling else -1.0) for name in names], axis=1)
-        places = np.flatnonzero(np.isfinite(table).all(axis=1) & (self.feasible if feasible else True))
-        places = places[front(table[places])]
-        return self.take(places[np.lexsort(table[places].T)])
 
     def controller(self, place: int) -> Params:
         """The controller of one row, by its place in this result."""
@@ -247,10 +146,6 @@ class Result:
         """What the axes set for one row, for people."""
         return {axis.name: axis.label(float(self[axis.name][place])) for axis in self.axes}
 
-    def status_counts(self) -> dict[str, int]:
-        """How many (row, stiffness) pairs ended in each `Status`."""
-        return {status.name: int((self["status"] == status).sum()) for status in Status}
-
     def to_csv(self, path: str | Path) -> None:
         """Write one line per row and stiffness; see `labelled.to_csv`."""
         labelled.to_csv(self, path)
@@ -262,12 +157,6 @@ class Result:
     def to_pandas(self) -> "pandas.DataFrame":
         """A table with a line per row and stiffness; see `labelled.to_pandas`."""
         return labelled.to_pandas(self)
-
-    def _within(self, goal: SweepGoal) -> np.ndarray:
-        good = self.ok
-        for name, limit in goal.constraints.items():
-            good = good & MEASURED[name].kept(self.worst(name), limit)
-        return good
 
 
 def merged(results: Sequence[Result]) -> Result:
