@@ -32,7 +32,7 @@ BLOCKS_OF_A_WAVE = 35
 """Blocks that a GPU runs at a time, 25 200 trials: half as many take it as long (measured)."""
 
 
-class _Constants(NamedTuple):
+class Constants(NamedTuple):
     """What the trials of a job share."""
 
     robot: list[float]
@@ -63,9 +63,9 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
     """
     if not firsts:
         return
-    constants, on_cpu = _constants(job), jax.default_backend() == "cpu"
+    constants, on_cpu = constants_of(job), jax.default_backend() == "cpu"
     devices, size = (jax.local_devices()[:1], 1) if on_cpu else (jax.local_devices(), BLOCKS_OF_A_WAVE)
-    make = partial(_met, job, constants.varied)
+    make = partial(met_in_block, job, constants.varied)
     blocks = map(make, firsts) if on_cpu else made_by_processes(make, firsts)
     programs = _programs(job, constants, size)
     waves = [firsts[i : i + size] for i in range(0, len(firsts), size)]
@@ -92,7 +92,8 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
 _sent = in_float64(jax.device_put)
 
 
-def _constants(job: Job) -> _Constants:
+def constants_of(job: Job) -> Constants:
+    """What the trials of a job share."""
     robots = [robot_on_its_tissue(job.trial(i)) for i in range(drawn.POOL)]
     leaves, structure = [jax.tree.leaves(robot) for robot in robots], jax.tree.structure(robots[0])
     # What differs in these differs everywhere: which it is must not depend on how many trials there are.
@@ -102,10 +103,10 @@ def _constants(job: Job) -> _Constants:
     # Judged from the start, ramps included.
     late = np.asarray(met.time) >= job.base.settle
     judged = met._replace(score=np.broadcast_to(late[..., None] * 1.0, np.shape(met.score)))
-    return _Constants(leaves[0], varied, structure, judged)
+    return Constants(leaves[0], varied, structure, judged)
 
 
-def _met(job: Job, varied: tuple[int, ...], first: int) -> Met:
+def met_in_block(job: Job, varied: tuple[int, ...], first: int) -> Met:
     """What the trials of a block meet."""
     trials = [job.trial(first + i) for i in range(drawn.BLOCK)]
     signals: list[Any] = [scenario_data(trial, swinging=True).signals for trial in trials[: drawn.POOL]]
@@ -119,7 +120,7 @@ def _met(job: Job, varied: tuple[int, ...], first: int) -> Met:
     return Met(heart, between, noise, own)
 
 
-def _blank(constants: _Constants) -> Met:
+def _blank(constants: Constants) -> Met:
     """Nothing, in the form of a block."""
     signals = constants.signals
     heart, between, noise = (
@@ -134,7 +135,7 @@ def _compiled(programs: list[_Program], met: tuple[Met, ...]) -> None:
         compile_ahead(program.run, met, program.shared)
 
 
-def _programs(job: Job, constants: _Constants, size: int) -> list[_Program]:
+def _programs(job: Job, constants: Constants, size: int) -> list[_Program]:
     base = job.trial(0)
     run = wave_program(named(program_spec(base), job.engine), constants.varied, constants.structure, size * drawn.POOL)
     programs = []

@@ -79,8 +79,17 @@ def compile_ahead(program: Callable[[tuple[Met, ...], Shared], Any], met: tuple[
     _of_blocks.compile(met, shared, **program.keywords)
 
 
-def _of_motions(met: Met, shared: Shared, *, spec: ProgramSpec, varied: tuple[int, ...], structure: Any) -> Any:
-    """What `wave_program` returns, of some motions."""
+class Scene(NamedTuple):
+    """Controllers and what they meet."""
+
+    loops: ClosedLoops
+    data: ScenarioData
+    radii: Any
+    """Spectral radius of each linear loop, (motions, copies, controllers) [-]."""
+
+
+def scene_of(met: Met, shared: Shared, varied: tuple[int, ...], structure: Any) -> Scene:
+    """Design the controllers, and put together what they meet; traceable. `varied` and `structure`: `wave_program`."""
     params, path = shared.params, shared.path
     gains, residual = jax.vmap(lambda p: design_one(p, path.T_s, 1.0, path.force_filter))(params)
     leaves = list(shared.robot)
@@ -103,10 +112,16 @@ def _of_motions(met: Met, shared: Shared, *, spec: ProgramSpec, varied: tuple[in
     common = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(met.own), *leaf.shape[1:])), shared.signals)
     signals = common._replace(heart=met.heart, between=met.between, noise=met.noise)
     data = ScenarioData(stiffness, signals, None, shared.force_limit, robot, path)
-    ran = run_loops(ClosedLoops(gains, params.K2, None, residual, cutoff), data, world=spec, dtype="float64")
+    return Scene(ClosedLoops(gains, params.K2, None, residual, cutoff), data, radii)
+
+
+def _of_motions(met: Met, shared: Shared, *, spec: ProgramSpec, varied: tuple[int, ...], structure: Any) -> Any:
+    """What `wave_program` returns, of some motions."""
+    loops, data, radii = scene_of(met, shared, varied, structure)
+    ran = run_loops(loops, data, world=spec, dtype="float64")
     lasted = lasted_per_motion(ran).T
     moments = ran.diverged.T, ran.over_limit.T, ran.lost_contact.T
-    status, when = verdict(stability_status(radii, residual), lasted, *moments)
+    status, when = verdict(stability_status(radii, loops.residual), lasted, *moments)
 
     def per_trial(field: Any) -> Any:
         """With dimensions (motions, copies, controllers, 3), NaN where the run did not last."""
