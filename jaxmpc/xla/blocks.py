@@ -17,6 +17,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 from jaxmpc.xla import store
+from jaxmpc.xla.shared import JitShared
 
 BLOCK = 256
 """Controllers in a block on a CPU: below 128 the loop overhead shows, above 512 the cache does."""
@@ -91,9 +92,13 @@ class OverDevices:
         spec: Any = PartitionSpec
         split, whole = spec("device"), spec()
         self._devices = mesh.size
-        self._dealt: Any = jax.jit(
+        self._dealt = JitShared(
             jax.shard_map(function, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False)
         )
+
+    def compile(self, batch: Any, shared: Any) -> None:
+        """Compile for arrays like these before there is anything to run with."""
+        self._dealt.compile(padded(batch, self._devices), jax.tree.map(jnp.asarray, shared))
 
     def begin(self, batch: Any, shared: Any) -> Callable[[], Any]:
         """Have the devices begin; what is returned waits for them, and gives the result as numpy."""
@@ -108,7 +113,7 @@ class OverDevices:
     @property
     def programs(self) -> int:
         """How many programs it has compiled."""
-        return int(self._dealt._cache_size())
+        return self._dealt.programs
 
 
 def padded(batch: Any, multiple: int) -> Any:

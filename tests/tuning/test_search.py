@@ -9,9 +9,11 @@ import pytest
 from jaxmpc import Params
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec, pareto
-from tuning.objective.problem import problem_of, training
+from tuning.objective.loss import value_alone
+from tuning.objective.problem import over_starts, problem_of, training
 from tuning.proof.result import assess
 from tuning.proof.sensitivities import sensitivities, vector_of
+from tuning.search.corrected import values_and_slopes
 from tuning.search.front import handed_on, table
 from tuning.search.run import SAME, proposed, run_search
 from tuning.search.state import SearchState
@@ -80,6 +82,20 @@ def test_spectra_propose_and_the_arm_decides(on_the_arm: Callable[..., TuneSpec]
     worst = result.steps[1].problem.evaluate(np.tile(z, (4, 1))).score[0]
     assert found.values[0].max() == pytest.approx(worst, rel=0.1)
     assert np.isfinite(found.slopes).all()
+
+
+@pytest.mark.slow
+@in_float64
+def test_what_was_compiled_beside_the_spectra_is_what_runs(on_the_arm: Callable[..., TuneSpec]) -> None:
+    over_starts.cache_clear()
+    values_and_slopes.cache_clear()
+    spec = on_the_arm(tune={"mapping": 2})
+    mapping = run_search(spec).steps[-1]
+    assert mapping.spectra is not None
+    for problem in (mapping.problem, mapping.spectra):
+        assert over_starts(value_alone, problem.structure).programs == 1
+    moved = tuple(np.flatnonzero(~spec.space.whole).tolist())
+    assert values_and_slopes(mapping.spectra.structure, moved).programs == 1
 
 
 @pytest.mark.slow

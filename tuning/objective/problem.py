@@ -17,6 +17,7 @@ from jaxmpc.spectra.spectrum import spectrum_of
 from jaxmpc.xla.blocks import OverDevices
 from tuning.job.goals import RATIO, RUN_GOALS
 from tuning.job.scenarios import scenarios, scene_over
+from tuning.job.space import SearchSpace
 from tuning.job.spec import TuneSpec
 from tuning.objective.loss import Values, value_alone, value_and_gradient, visible_goals, visible_soft
 from tuning.objective.measures import Data, ProblemStructure, measure
@@ -46,14 +47,23 @@ class Problem(NamedTuple):
         """The same with whole horizons and without the gradient (NaN), at a fraction of its price."""
         return self._dealt_out(value_alone, z, 1.0)
 
+    def compile_evaluation(self, starts: int) -> None:
+        """Compile `evaluate` for so many starts."""
+        z = np.zeros((starts, SearchSpace(self.data.base, self.structure.axes).size))
+        over_starts(value_alone, self.structure).compile(*self._arguments(z, 1.0))
+
     def _dealt_out(self, function: Callable[..., Values], z: np.ndarray, width: float) -> Values:
+        values: Values = over_starts(function, self.structure)(*self._arguments(z, width))
+        return values
+
+    def _arguments(self, z: np.ndarray, width: float) -> tuple[Any, Any]:
+        """What each start has of its own, and what all share."""
+
         def wide(limit: Any) -> Any:
             return np.broadcast_to(np.asarray(limit, float), (len(z),))
 
         rows = z, jax.tree.map(wide, self.data.margins), jax.tree.map(wide, self.data.hard)
-        shared = self.data._replace(margins={}, hard={}), width
-        values: Values = over_starts(function, self.structure)(rows, shared)
-        return values
+        return rows, (self.data._replace(margins={}, hard={}), width)
 
     @property
     def soft_goals(self) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ constraint of its own, with its exact gradient, and takes some ten evaluations.
 Source: D. Kraft, A software package for sequential quadratic programming, DFVLR-FB 88-28, 1988 (`scipy.optimize`).
 """
 
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
+from jaxmpc.xla.shared import JitShared
 from tuning.job.spec import TuneSpec
 from tuning.objective.loss import HEADROOM, constrained
 from tuning.objective.measures import Data, ProblemStructure
@@ -48,10 +48,7 @@ def minimised(
     moved = np.flatnonzero(~spec.space.whole)
     if not len(moved):
         return z
-    program = values_and_slopes(spectra.structure, tuple(moved.tolist()))
-    limits = {name: jnp.reshape(jnp.asarray(limit, float), (1,)) for name, limit in spectra.data.margins.items()}
-    runs = {name: jnp.reshape(jnp.asarray(limit, float), (1,)) for name, limit in spectra.data.hard.items()}
-    data = spectra.data._replace(margins=limits, hard=runs, correction=factors)
+    program, data = values_and_slopes(spectra.structure, tuple(moved.tolist())), _corrected(spectra, factors)
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -83,8 +80,25 @@ def minimised(
     return found
 
 
+def compile_ahead(spec: TuneSpec, spectra: Problem) -> None:
+    """Compile what `minimised` runs, before anything has been measured."""
+    moved, z = np.flatnonzero(~spec.space.whole), spec.space.encode(spec.space.base)
+    if len(moved):
+        factors = jax.tree.map(lambda field: jnp.ones((1, *field.shape)), spectra.data.reference)
+        program = values_and_slopes(spectra.structure, tuple(moved.tolist()))
+        program.compile(z[moved], z, _corrected(spectra, factors))
+
+
+def _corrected(spectra: Problem, factors: Metrics) -> Data:
+    """Data of one point."""
+    limits = {name: jnp.reshape(jnp.asarray(limit, float), (1,)) for name, limit in spectra.data.margins.items()}
+    runs = {name: jnp.reshape(jnp.asarray(limit, float), (1,)) for name, limit in spectra.data.hard.items()}
+    corrected: Metrics = jax.tree.map(jnp.asarray, factors)
+    return spectra.data._replace(margins=limits, hard=runs, correction=corrected)
+
+
 @lru_cache(maxsize=8)
-def values_and_slopes(structure: ProblemStructure, moved: tuple[int, ...]) -> Callable[..., tuple[Array, Array]]:
+def values_and_slopes(structure: ProblemStructure, moved: tuple[int, ...]) -> JitShared:
     """A compiled function of (numbers that move, the whole vector, data): log risk and constraints, and their slopes.
 
     Forward mode: some ten numbers move, and there are as many constraints as goals times tissues.
@@ -98,4 +112,4 @@ def values_and_slopes(structure: ProblemStructure, moved: tuple[int, ...]) -> Ca
         found, push = jax.linearize(values, jnp.asarray(x))
         return found, jax.vmap(push, out_axes=1)(jnp.eye(len(moved)))
 
-    return jax.jit(evaluate)
+    return JitShared(evaluate)

@@ -11,7 +11,8 @@ from jaxmpc.quantities import MARGINS
 from jaxmpc.terminal.progress import progress
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
-from tuning.search.mapping import PROPOSED, refine, spectra_of
+from tuning.search.ahead import readied, threads
+from tuning.search.mapping import PROPOSED, refine
 from tuning.search.optimise import descend, schedule
 from tuning.search.state import SearchState
 
@@ -58,19 +59,20 @@ def run_search(spec: TuneSpec, folder: Path | None = None, show: bool = False) -
     """
     _check_fixed(spec)
     jobs = [spec.with_order(order) for order in spec.tune.orders] or [spec]
-    firsts = [proposal(job, folder, show) for job in jobs]
-    orders = {
-        int(job.params.disturbance_order): float(one.state.best.min()) for job, one in zip(jobs, firsts, strict=True)
-    }
-    best = int(np.argmin(list(orders.values())))
-    job, steps = jobs[best], [firsts[best]]
-    if job.on_arm:
-        met = training(job, job.tune.train_seeds)
-        problem = problem_of(job, met)
-        spectra = spectra_of(job, problem, met)
-        z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)
-        state = refine(job, problem, spectra, z, folder, _file("mapping", job), show)
-        steps.append(Step("mapping", problem, state, spectra))
+    with threads() as pool:
+        ahead = {0: readied(jobs[0], pool)} if spec.on_arm and len(jobs) == 1 else {}
+        firsts = [proposal(job, folder, show) for job in jobs]
+        orders = {
+            int(job.params.disturbance_order): float(one.state.best.min())
+            for job, one in zip(jobs, firsts, strict=True)
+        }
+        best = int(np.argmin(list(orders.values())))
+        job, steps = jobs[best], [firsts[best]]
+        if job.on_arm:
+            runs, spectra = (ahead.get(best) or readied(job, pool)).result()
+            z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)
+            state = refine(job, runs, spectra, z, folder, _file("mapping", job), show)
+            steps.append(Step("mapping", runs, state, spectra))
     return SearchHistory(job, steps, orders)
 
 

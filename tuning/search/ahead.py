@@ -1,0 +1,56 @@
+"""What a search on the arm comes to after its spectra, made ready beside them: the arm's problem, and its programs.
+
+To compile them takes as long as to descend on the spectra, which waits for nothing of it.
+"""
+
+import os
+from concurrent.futures import Executor, Future
+from typing import NamedTuple
+
+from jaxmpc.beside import Beside
+from jaxmpc.xla.precision import in_float64
+from tuning.job.spec import TuneSpec
+from tuning.objective.problem import Problem, problem_of, training
+from tuning.search import corrected
+from tuning.search.mapping import PROPOSED, spectra_of
+
+PROGRAMS = 3
+
+
+class OnArm(NamedTuple):
+    """A job on the arm."""
+
+    runs: Problem
+    """By runs."""
+    spectra: Problem
+    """By the spectra that runs correct."""
+
+
+def threads() -> Beside:
+    """As many as there are programs, but for a core that the descent has."""
+    return Beside(min(PROGRAMS, max(1, len(os.sched_getaffinity(0)) - 1)))
+
+
+def readied(spec: TuneSpec, pool: Executor) -> Future[OnArm]:
+    """A job's problems; its programs then go on compiling, and who needs one meanwhile waits for that one.
+
+    Args:
+        spec: The job.
+        pool: Threads to do it.
+    """
+    rows = PROPOSED * spec.tune.starts
+
+    @in_float64  # which is a thread's own
+    def ready() -> OnArm:
+        met = training(spec, spec.tune.train_seeds)
+        runs = problem_of(spec, met)
+        found = OnArm(runs, spectra_of(spec, runs, met))
+        for program in (
+            lambda: found.runs.compile_evaluation(rows),
+            lambda: corrected.compile_ahead(spec, found.spectra),
+            lambda: found.spectra.compile_evaluation(rows),
+        ):
+            pool.submit(in_float64(program))
+        return found
+
+    return pool.submit(ready)
