@@ -2,6 +2,7 @@
 
     python -m benchmarks.rhythm_residuals --seeds 9000001 9000011 9000021
     python -m benchmarks.rhythm_residuals --rhythms premature bigeminy --compensation 0.7
+    python -m benchmarks.rhythm_residuals --observer 100
 
 A cell is a tissue and an axis of `family-wam`, 20 s after 12 s; the text design runs without compensation.
 """
@@ -25,6 +26,7 @@ def main() -> None:
     )
     parser.add_argument("--seeds", nargs="+", type=int, default=[9_000_001])
     parser.add_argument("--compensation", type=float, default=0.0, help="share of the friction that it compensates")
+    parser.add_argument("--observer", type=float, default=0.0, help="its momentum observer [rad/s]")
     args = parser.parse_args()
     base = Experiment.published("family-wam")
     text, judged = Params.published("text"), Params.published(args.params)
@@ -32,7 +34,8 @@ def main() -> None:
         for seed in args.seeds:
             began = time.monotonic()
             met = scenario(base, Scenarios(rhythms=(rhythm,)), seed)
-            own = replace(met, arm=replace(met.arm, compensation=args.compensation))
+            arm = replace(met.arm, compensation=args.compensation, momentum_observer=args.observer)
+            own = replace(met, arm=arm)
             theirs, found = evaluate(text, met).metrics, evaluate(judged, own).metrics
             ratio, peaks = np.asarray(found.rms / theirs.rms), np.asarray(found.peak_to_peak / theirs.peak_to_peak)
             each = " / ".join(f"{K:g} N/m {row.max():.2f}" for K, row in zip(met.stiffness, ratio, strict=True))
