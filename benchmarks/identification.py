@@ -23,6 +23,7 @@ from jaxmpc.closed_loops import run_loops
 from jaxmpc.engine.base import ProgramSpec
 from jaxmpc.engine.scenario import program_spec
 from jaxmpc.terminal.process import use_all_cores
+from jaxmpc.terminal.progress import progress
 from jaxmpc.xla.blocks import OverBlocks
 from jaxmpc.xla.precision import in_float64
 from tuning.job.scenarios import Rhythm, Scenarios
@@ -77,10 +78,10 @@ def listen(job: Job, trials: int) -> Heard:
         Params.stack(job.controllers), constants.robot, constants.signals, base.loop_path(), base.force_limit
     )
     parts = []
-    for first in range(0, trials, BLOCK):
-        parts.append(run(met_in_block(job, constants.varied, first), shared))
-        print(f"\r{min(first + BLOCK, trials)} trials", end="", flush=True)
-    print("\r", end="")
+    with progress("listen", trials, "trials", True) as tick:
+        for first in range(0, trials, BLOCK):
+            parts.append(run(met_in_block(job, constants.varied, first), shared))
+            tick(min(first + BLOCK, trials), "")
     whole: Heard = jax.tree.map(lambda *fields: np.concatenate(fields).reshape(-1, 3), *parts)
     return whole
 
