@@ -94,6 +94,7 @@ def main() -> None:
     args = parser.parse_args()
     use_all_cores()
     params, began = Params.published(args.params), time.monotonic()
+    assert params.listening is not None, f"{args.params} finds no stiffness"
     found = listen(Listening((params,), Experiment.published("table-1-wam"), ARMS, args.seed), args.trials)
     count, band = len(found.off), float(params.listening.band)
     known = found.authority >= 0.5
