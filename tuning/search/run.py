@@ -60,7 +60,8 @@ def run_search(spec: TuneSpec, folder: Path | None = None, show: bool = False) -
     _check_fixed(spec)
     jobs = [spec.with_order(order) for order in spec.tune.orders] or [spec]
     with threads() as pool:
-        ahead = {0: readied(jobs[0], pool)} if spec.on_arm and len(jobs) == 1 else {}
+        # Of several, nobody knows which will win.
+        ahead = readied(jobs[0], pool) if spec.on_arm and len(jobs) == 1 else None
         firsts = [proposal(job, folder, show) for job in jobs]
         orders = {
             int(job.params.disturbance_order): float(one.state.best.min())
@@ -69,7 +70,7 @@ def run_search(spec: TuneSpec, folder: Path | None = None, show: bool = False) -
         best = int(np.argmin(list(orders.values())))
         job, steps = jobs[best], [firsts[best]]
         if job.on_arm:
-            runs, spectra = (ahead.get(best) or readied(job, pool)).result()
+            runs, spectra = (ahead or readied(job, pool)).result()
             z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)
             state = refine(job, runs, spectra, z, folder, _file("mapping", job), show)
             steps.append(Step("mapping", runs, state, spectra))
