@@ -75,8 +75,10 @@ def nearest(name: str, known: list[str]) -> str:
     """A remedy for an unknown name: the likeliest meant one, and all that exist."""
     import difflib
 
-    close = difflib.get_close_matches(name[:LONGEST_VALUE], known, n=1)
-    hint = f"Did you mean {close[0]!r}? " if close else ""
+    # Dashes of options would make any two of them alike.
+    bare = {each.lstrip("-"): each for each in known}
+    close = difflib.get_close_matches(name[:LONGEST_VALUE].lstrip("-"), bare, n=1)
+    hint = f"Did you mean {bare[close[0]]!r}? " if close else ""
     return f"{hint}Known: {', '.join(known)}."
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from jaxmpc.cli.comparison import PAPER_HEADER, REDUCTION_HEADER
 from jaxmpc.cli.limit import HEADER, PLACE
+from jaxmpc.files.errors import nearest
 from jaxmpc.quantities import MARGINS
 from jaxmpc.terminal import layout
 from jaxmpc.terminal.tables import RESIDUAL_HEADER
@@ -91,3 +92,9 @@ def test_a_mistake_is_told_between_words(columns: int, tmp_path: Path) -> None:
     assert ran.code == 2
     assert not ran.torn
     assert "1234567890" in ran.said
+
+
+def test_options_are_alike_by_their_letters_and_not_by_their_dashes() -> None:
+    known = ["--no-tare", "--reference", "--stiffness"]
+    assert nearest("--stifness", known).startswith("Did you mean '--stiffness'?")
+    assert nearest("--force", known).startswith("Known: --no-tare")
