@@ -1,4 +1,7 @@
-"""A compiled function that several threads call: the first compiles it, and the others wait instead of doing so too."""
+"""A compiled function that several threads call: the first compiles it, and the others wait instead of doing so too.
+
+For programs that run many times: unlike `jaxmpc.xla.once.JitOnce` it compiles with all optimisations.
+"""
 
 from collections.abc import Callable
 from threading import Lock

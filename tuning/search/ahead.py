@@ -15,6 +15,7 @@ from tuning.search import corrected
 from tuning.search.mapping import PROPOSED, spectra_of
 
 PROGRAMS = 3
+"""That `readied` compiles."""
 
 
 class OnArm(NamedTuple):
@@ -33,6 +34,8 @@ def threads() -> Beside:
 
 def readied(spec: TuneSpec, pool: Executor) -> Future[OnArm]:
     """A job's problems; its programs then go on compiling, and who needs one meanwhile waits for that one.
+
+    A program that fails to compile here fails again where it is needed, and is heard of there.
 
     Args:
         spec: The job.
