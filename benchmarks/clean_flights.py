@@ -73,7 +73,8 @@ def flown(path: Path, number: int) -> dict[str, Any]:
 
     ended = session.run(OperatorCommand(True, True), None, each)
     bus.close()
-    most["overshoot"] = session.cycle.pushes.measured / abs(wanted)
+    pushes = session.cycle.pushes
+    most["overshoot"] = pushes.measured / max(pushes.wanted, abs(wanted))
     case = {"number": number, "wanted": wanted, "rhythm": rhythm, "tissue": tissue, "stiffness": stiffness}
     return {**case, "heavy": bool(arm), "reason": str(ended.safety_state.reason), **most}
 

@@ -39,6 +39,8 @@ class Flown(NamedTuple):
     """Largest true push on the tissue [N]."""
     since: float
     """The same since the first fault set in [N]."""
+    wanted_peak: float
+    """Largest push that was wanted in contact, the sine of a family in it [N]; 0 if contact never was."""
     reason: Reason
     state: OperatingState
 
@@ -59,11 +61,12 @@ def fly(artifact: Any, faults: tuple[str, ...], stiffness: float, tissue: str, w
     try:
         session, bus = started(artifact, clock, f"0,0,{wanted:g}@{RATE:g}", RATE, seconds=1.0)
     except CalibrationError:  # the tare has seen it
-        return Flown(peaks.true_push, since.true_push, Reason.NOT_STARTED, OperatingState.IDLE)
+        return Flown(peaks.true_push, since.true_push, 0.0, Reason.NOT_STARTED, OperatingState.IDLE)
     pilot = Pilot(session, twin, abs(wanted) / RATE + 2.0 * HELD)
     ended = session.run(OperatorCommand(True, True), None, pilot)
     bus.close()
-    return Flown(peaks.true_push, since.true_push, ended.safety_state.reason, ended.safety_state.state)
+    wanted_peak = session.cycle.pushes.wanted
+    return Flown(peaks.true_push, since.true_push, wanted_peak, ended.safety_state.reason, ended.safety_state.state)
 
 
 def moments(artifact: Any, stiffness: float, tissue: str, wanted: float) -> dict[str, float]:
@@ -117,7 +120,7 @@ def main() -> int:
         )
         worst[word] = max(worst.get(word, (0.0, "")), (flown.push, case))
         if flown.reason is Reason.FINISHED:
-            finished[word] = max(finished.get(word, 0.0), flown.push / abs(wanted))
+            finished[word] = max(finished.get(word, 0.0), flown.push / flown.wanted_peak)
     print(f"{count} flights, limit {artifact.arm.limits.force:g} N; largest true push per word")
     for word, (push, case) in worst.items():
         unseen = f"; unseen at most {finished[word]:.2f} of the wanted force" if word in finished else ""

@@ -48,7 +48,8 @@ PHASES = ("approach", "ramp", "contact", "retract")
 RETRACTING = 0.6
 """A retraction of 30 mm takes that long [s]."""
 MUCH = 1.2
-"""Share of the wanted force beyond which no fault, once it has set in, may press and end `finished`."""
+"""Share of the largest wanted push, a family's sine in it, beyond which no fault, once it has set in, may press and end
+`finished`."""
 
 
 class Case(NamedTuple):
@@ -134,6 +135,7 @@ def _row(number: int, case: Case, contact: float, seed: int) -> dict[str, Any]:
         "contact": contact,
         "push": round(flown.push, 4),
         "since": round(flown.since, 4),
+        "wanted_peak": round(flown.wanted_peak, 4),
         "reason": str(flown.reason),
     }
     return {"number": number, **case._asdict(), **came}
@@ -163,7 +165,7 @@ def report(rows: list[dict[str, Any]], limit: float) -> int:
         if not mine:
             continue
         beyond = [row for row in mine if row["push"] > limit]
-        unseen = [row for row in mine if row["reason"] == "finished" and row["since"] > MUCH * abs(row["wanted"])]
+        unseen = [row for row in mine if row["reason"] == "finished" and row["since"] > MUCH * row["wanted_peak"]]
         bad += len(beyond) + len(unseen)
         print(f"  {word:<13}{len(mine):>5} flights, {len(beyond)} beyond the limit, {len(unseen)} unseen")
         alone = [row for row in mine if not row["pair"]]

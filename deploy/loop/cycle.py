@@ -150,7 +150,8 @@ class Cycle:
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
         if self.safety_state.state is OperatingState.CONTACT and force is not None:
-            self.pushes = pushed(self.pushes, self._push(self.controller.force_ref), self._push(force))
+            asked = self._push(self.controller.force_ref) + self._push(runtime.dither)
+            self.pushes = pushed(self.pushes, asked, self._push(force))
         if command.finish is Reason.FINISHED and self.pushes.beyond(self.limits.overshoot):
             command = command._replace(finish=Reason.OVERSHOOT)
         observed = Observations(

@@ -15,7 +15,7 @@ def after(*samples):
 
 
 @pytest.mark.parametrize(("wanted", "most"), [(5.0, 6.0), (2.0, 2.0 + LEAST), (0.5, 0.5 + LEAST)])
-def test_a_fifth_more_or_six_tenths_of_a_newton(wanted, most):
+def test_a_fifth_more_but_at_least_half_a_newton(wanted, most):
     assert not after((wanted, most)).beyond(1.2)
     assert after((wanted, math.nextafter(most, math.inf))).beyond(1.2)
 

@@ -29,3 +29,10 @@ def test_a_force_that_comes_5_ms_late_is_stopped(family: Artifact, wanted: float
 def test_a_millisecond_and_damping_are_not(family: Artifact, fault: str | None, tissue: str) -> None:
     found = fly(family, (fault,) if fault else (), 810.0, tissue, -5.0)
     assert found.reason is Reason.FINISHED
+
+
+def test_the_sine_counts_as_wanted(family: Artifact) -> None:
+    """To its whole amplitude, which is met within a 20th of its period of 59 samples."""
+    listening = Params.published("family").listening
+    assert listening is not None
+    assert fly(family, (), 810.0, "elastic", -2.0).wanted_peak == pytest.approx(2.0 + listening.amplitude, abs=2e-3)
