@@ -126,8 +126,9 @@ def run_episodes(
                 return moved_on(lambda own, run: one(own, run, now), constant[0], constant[1], state)
 
             given = (own, own_slopes), state, now
-            after = lean(following, inverses, *given) if dtype == jnp.float32 else following(*given)
-            return _as_lanes(after, scalar)
+            if dtype == jnp.float32:
+                return _as_lanes(lean(following, inverses, *given, values=len(jax.tree.leaves(state[0]))), scalar)
+            return _as_lanes(following(*given), scalar)
 
         def stretch(k: Any, state: Any) -> Any:
             first = k * STRETCH

@@ -15,8 +15,7 @@ from jax.extend.core import Literal
 
 from jaxmpc.engine import lane_ops
 
-SUMS = ("add", "neg", "sub")
-ARITHMETIC = (*SUMS, "add_any", "div", "integer_pow", "mul", "sqrt")
+ARITHMETIC = ("add", "add_any", "div", "integer_pow", "mul", "neg", "sqrt", "sub")
 COMMUTING = ("add", "max", "min", "mul")
 CALLS = ("jit", "pjit", "custom_jvp_call")
 SINES = (lane_ops.SINE, lane_ops.COSINE)
@@ -36,17 +35,15 @@ class Node(NamedTuple):
 class Web:
     """Operations by their places, each after those that it needs."""
 
-    def __init__(self, inputs: list[Any], fixed: int) -> None:
-        """Begin with the inputs, at the places 0, 1, …; the first `fixed` of them never change."""
+    def __init__(self, inputs: list[Any]) -> None:
+        """Begin with the inputs, which have the first places."""
         self.inputs: list[Any] = []
         self.nodes: list[Node] = []
         self.equations: dict[int, Any] = {}
         """What JAX traced, where it is no arithmetic."""
         self.near: dict[int, int] = {}
         """Per angle another near it, if one is known."""
-        self.constant: list[bool] = []
-        """Whether a value never changes."""
-        self._fixed, self._places = fixed, dict[Node, int]()
+        self._places = dict[Node, int]()
         for value in inputs:
             self._input(value)
 
@@ -65,15 +62,31 @@ class Web:
             places.update(zip(equation.outvars, found, strict=True))
         return [place(var) for var in jaxpr.outvars]
 
-    def needed(self, results: list[int]) -> list[int]:
-        """Places that some results need, their own among them, in order."""
-        found, stack = set(), list(results)
+    def needed(self, results: list[int], values: int) -> list[int]:
+        """Places that results need, their own among them, in an order in which they can be computed.
+
+        JAX traces all tangents after all values, which would have to be kept until then. Here what only tangents need
+        comes as soon as it can.
+
+        Args:
+            results: Places.
+            values: How many of them, from the first on, are values; the others are tangents.
+        """
+        as_traced, turn = self._reached(results[:values]), dict[int, int]()
+        for place in sorted(self._reached(results)):
+            before = [turn[each] for each in self.nodes[place].operands]
+            turn[place] = max(before) if before and place not in as_traced else place
+        return sorted(turn, key=lambda place: (turn[place], place))
+
+    def _reached(self, results: list[int]) -> set[int]:
+        """Places that some results need, their own among them."""
+        found, stack = set[int](), list(results)
         while stack:
             place = stack.pop()
             if place not in found:
                 found.add(place)
                 stack += self.nodes[place].operands
-        return sorted(found)
+        return found
 
     def equals(self, place: int, number: float) -> bool:
         """Whether a value is this number."""
@@ -92,8 +105,6 @@ class Web:
         if place == len(self.nodes):
             self.nodes.append(node)
             self.equations[place] = equation
-            fixed = told < self._fixed if name == "input" else all(self.constant[i] for i in operands)
-            self.constant.append(fixed)
         return place
 
     def _equation(self, equation: Any, operands: list[int]) -> list[int]:
@@ -121,8 +132,16 @@ class Web:
             return self._quotient(*operands)
         if name == "integer_pow":
             return self._power(operands[0], params["y"])
-        # Tangents are added by a name of their own.
-        return self._at("add" if name == "add_any" else name, tuple(operands))
+        if name in ("add", "add_any"):  # tangents are added by a name of their own
+            return self._total(*operands)
+        if name == "sub" and self.equals(operands[1], 0.0):
+            return operands[0]
+        return self._at(name, tuple(operands))
+
+    def _total(self, one: int, other: int) -> int:
+        if self.equals(one, 0.0):
+            return other
+        return one if self.equals(other, 0.0) else self._at("add", (one, other))
 
     def _power(self, base: int, exponent: int) -> int:
         """A power whose exponent is not 0; the slope of a quotient asks for negative ones."""
