@@ -16,7 +16,7 @@ from jaxmpc.loop.linear import HIGHEST_ERROR, HIGHEST_FORCE
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from sweeps.goal import MEASURED, SweepGoal
-from sweeps.judged import worst
+from sweeps.judged import worst, worst_of_rows
 from sweeps.plan import Plan
 
 TOP = 10
@@ -53,6 +53,7 @@ def undecided(plan: Plan, columns: Mapping[str, np.ndarray], goal: SweepGoal | N
     """
     goal = goal or plan.goal
     status, certain = columns["status"], columns[IN_FLOAT64]
+    amplified = amplification(plan, columns)
     chance = ~certain[:, None] & (np.isin(status, _UNTOLD) | _saturated(columns))
     near = ~certain[:, None] & _near_limits(plan, columns) | chance
     near &= ~np.isin(status, _JUDGED)
@@ -60,12 +61,12 @@ def undecided(plan: Plan, columns: Mapping[str, np.ndarray], goal: SweepGoal | N
     may, sure = ((status == Status.OK) | near).all(axis=1), (status == Status.OK).all(axis=1) & ~near.any(axis=1)
     borderline, hopeless = np.zeros(len(may), bool), np.isin(status, _JUDGED).any(axis=1)
     for name, limit in goal.constraints.items():
-        found, ceiling = _interval(plan, columns, name), limit if MEASURED[name].ceiling else -limit
+        found, ceiling = _interval(columns, name, amplified), limit if MEASURED[name].ceiling else -limit
         borderline |= (found.low <= ceiling) & (ceiling < found.high)
         may, sure = may & (found.low <= ceiling), sure & (found.high <= ceiling)
         if name in MARGINS:
             hopeless |= ~(found.low <= ceiling)
-    value = _interval(plan, columns, goal.best)
+    value = _interval(columns, goal.best, amplified)
     may, sure = may & np.isfinite(value.low), sure & np.isfinite(value.high)
     highest = np.sort(value.high[sure])
     reach = highest[TOP - 1] if len(highest) >= TOP else np.inf
@@ -98,14 +99,14 @@ def _setting(plan: Plan, columns: Mapping[str, np.ndarray], name: str) -> np.nda
     return value
 
 
-def _interval(plan: Plan, columns: Mapping[str, np.ndarray], name: str) -> _Interval:
+def _interval(columns: Mapping[str, np.ndarray], name: str, amplified: np.ndarray) -> _Interval:
     """Where a quantity's worst value over stiffness and axis lies; NaN where there is none."""
-    quantity, values = MEASURED[name], columns[name]
-    found = np.asarray(quantity.worst(values.reshape(len(values), -1), axis=1), float)
+    quantity = MEASURED[name]
+    found = worst_of_rows(quantity, columns[name]).astype(float)
     cost = found if quantity.ceiling else -found
     error = np.zeros(len(cost))
     if name in METRICS:
-        relative = METRICS[name].float32_error * amplification(plan, columns)
+        relative = METRICS[name].float32_error * amplified
         error = np.where(columns[IN_FLOAT64], 0.0, relative) * np.abs(cost)
     return _Interval(cost - error, cost + error)
 
