@@ -1,6 +1,7 @@
 """Rows judged: a metric or margin at its worst, whether a limit is kept, what the base controller comes to."""
 
 from collections.abc import Mapping
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,7 +45,8 @@ def worst(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
 def worst_of_rows(quantity: Quantity, values: np.ndarray) -> np.ndarray:
     """The worst of each row of (rows, …); NaN where one is."""
     # numpy reduces many short rows ten times slower than a few long columns.
-    found: np.ndarray = quantity.worst(np.ascontiguousarray(values.reshape(len(values), -1).T), axis=0)
+    columns = np.ascontiguousarray(values.reshape(len(values), prod(values.shape[1:])).T)
+    found: np.ndarray = quantity.worst(columns, axis=0)
     return found
 
 

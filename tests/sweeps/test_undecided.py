@@ -266,6 +266,13 @@ def made_up(columns: Mapping[str, Any]) -> dict[str, np.ndarray]:
     return {**full, "row": np.arange(rows), IN_FLOAT64: np.zeros(rows, bool)}
 
 
+def test_of_no_rows_none_is_undecided(single: Result) -> None:
+    """As where every row was set aside."""
+    nothing = single.take(slice(0))
+    assert len(nothing.undecided()) == 0
+    assert chance(nothing) == []
+
+
 def test_what_counts_as_undecided(spec: SweepSpec) -> None:
     plan = replace(make_plan(spec), goal=SweepGoal("rms", {"M_s": 2.0}))
     limit = plan.canonical["experiment"]["force_limit"]
