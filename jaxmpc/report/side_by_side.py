@@ -113,11 +113,15 @@ def _differences(entry: Entry) -> Iterator[str]:
     for k in range(1, len(entry.values)):
         if entry.drawn is None:
             apart = times * (entry.values[k] - entry.values[0])
-            yield f"{apart:+.{digits}f}" if np.isfinite(apart) else "–"
+            yield _signed(apart, digits) if np.isfinite(apart) else "–"
             continue
         found = difference(entry.drawn[0], entry.drawn[k])
         if not np.isfinite(found.mean):
             yield "–"
             continue
         interval = f" ± {times * found.half_width:.{digits}f}" if np.isfinite(found.half_width) else ""
-        yield f"{times * found.mean:+.{digits}f}{interval}{' *' if found.told else ''}"
+        yield f"{_signed(times * found.mean, digits)}{interval}{' *' if found.told else ''}"
+
+
+def _signed(value: float, digits: int) -> str:
+    return f"{value:+.{digits}f}".replace("-", "−")
