@@ -8,7 +8,6 @@ which is why the command line always makes two at least.
 
 import inspect
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 import jax
@@ -69,11 +68,10 @@ class OverBlocks:
         arguments = dict(zip(self._names, (one, shared), strict=True))
         name = store.name_of(self._function, arguments, self._static)
         if name not in self._dealt:
-            kept = None if name is None else store.program(name, self._function, arguments, self._static)
-            run = kept or partial(self._function, **self._static)
+            run = store.kept_or_plain(self._function, self._static, one, shared)
 
             def over(blocks: Any, shared: Any) -> Any:
-                return jax.lax.map(lambda one: run(**dict(zip(self._names, (one, shared), strict=True))), blocks)
+                return jax.lax.map(lambda one: run(one, shared), blocks)
 
             self._dealt[name] = OverDevices(over)
         return self._dealt[name]
@@ -83,18 +81,23 @@ class OverDevices:
     """A compiled version of f(batch, shared) whose rows are dealt out to all local devices.
 
     It takes any number of rows: where the devices cannot share them, copies of the last row fill up, and do not come
-    back.
+    back. Where an entry point keeps traced programs (`jaxmpc.xla.store`), that of a device's share is one of them.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        """Wrap a traceable function of a batch of any number of rows, and of what all share."""
+    def __init__(self, function: Callable[..., Any], static: Mapping[str, Any] | None = None) -> None:
+        """Wrap a traceable function of a batch of any number of rows, of what all share, and of what is static."""
         mesh = Mesh(np.array(jax.local_devices()), ("device",))
         spec: Any = PartitionSpec
         split, whole = spec("device"), spec()
         self._devices = mesh.size
-        self._dealt = JitShared(
-            jax.shard_map(function, mesh=mesh, in_specs=(split, whole), out_specs=split, check_vma=False)
-        )
+
+        def dealt(batch: Any, shared: Any) -> Callable[..., Any]:
+            share = jax.tree.map(lambda leaf: leaf[: len(leaf) // self._devices], batch)
+            run = store.kept_or_plain(function, static or {}, share, shared)
+            specs = {"in_specs": (split, whole), "out_specs": split}
+            return jax.shard_map(run, mesh=mesh, check_vma=False, **specs)
+
+        self._dealt = JitShared(dealt)
 
     def compile(self, batch: Any, shared: Any) -> None:
         """Compile for arrays like these before there is anything to run with."""

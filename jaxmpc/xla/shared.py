@@ -13,27 +13,28 @@ import jax
 class JitShared:
     """`jax.jit` for several threads, which may be compiled before there is anything to run it with."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        """Wrap a traceable function of arrays."""
-        self._jitted: Any = jax.jit(function)
-        self._compiled: set[Any] = set()
+    def __init__(self, made: Callable[..., Callable[..., Any]]) -> None:
+        """Wrap what makes a traceable function of arrays like those that it is given; it is asked once a kind."""
+        self._made = made
+        self._compiled: dict[Any, Any] = {}
         self._lock = Lock()
 
     def __call__(self, *args: Any) -> Any:
         """Compile if need be, and run."""
-        self.compile(*args)
-        return self._jitted(*args)
+        return self.compile(*args)(*args)
 
-    def compile(self, *args: Any) -> None:
+    def compile(self, *args: Any) -> Callable[..., Any]:
         """Compile for arrays like these; a call with such arrays finds it done."""
         leaves, tree = jax.tree.flatten(args)
         kind = tree, tuple(map(jax.typeof, leaves))
-        if kind in self._compiled:
-            return
-        with self._lock:
-            if kind not in self._compiled:
-                self._jitted.lower(*args).compile()
-                self._compiled.add(kind)
+        if kind not in self._compiled:
+            with self._lock:
+                if kind not in self._compiled:
+                    jitted: Any = jax.jit(self._made(*args))
+                    jitted.lower(*args).compile()
+                    self._compiled[kind] = jitted
+        compiled: Callable[..., Any] = self._compiled[kind]
+        return compiled
 
     @property
     def programs(self) -> int:

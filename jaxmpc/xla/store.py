@@ -5,12 +5,13 @@ is kept is the program as `jax.export` writes it, under a name that everything i
 """
 
 import hashlib
+import inspect
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -77,6 +78,26 @@ def name_of(function: Callable[..., Any], arguments: dict[str, Any], static: dic
         *(repr(jax.typeof(leaf)) for leaf in leaves),
     ]
     return digest(parts)
+
+
+def kept_or_plain(function: Callable[..., Any], static: Mapping[str, Any], *arguments: Any) -> Callable[..., Any]:
+    """The traced program of a function for arrays like these, where programs are kept, else the function itself.
+
+    Args:
+        function: As for `name_of`.
+        static: What it is traced for, by name.
+        *arguments: Its first ones.
+
+    Returns:
+        A function of these; traceable.
+    """
+    names = [*inspect.signature(function).parameters][: len(arguments)]
+    named = dict(zip(names, arguments, strict=True))
+    name = name_of(function, named, dict(static))
+    kept = None if name is None else program(name, function, named, dict(static))
+    if kept is None:
+        return partial(function, **static)
+    return lambda *given: kept(**dict(zip(names, given, strict=True)))
 
 
 def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], static: dict[str, Any]) -> Kept | None:

@@ -15,7 +15,7 @@ import pytest
 from jaxmpc import Experiment, Params, closed_loops, evaluation
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.xla import store
-from jaxmpc.xla.blocks import OverBlocks
+from jaxmpc.xla.blocks import OverBlocks, OverDevices
 from jaxmpc.xla.once import JitOnce
 
 TRACED: list[str] = []
@@ -33,6 +33,12 @@ def wave(t: Any, scale: Any, kind: str) -> Wave:
     function = {"sin": jnp.sin, "cos": jnp.cos}[kind]
     found = scale["one"] * function(t)
     return Wave(found > 0.0, (found, jnp.sum(found)), None)
+
+
+def wave_alone(t: Any, scale: Any, kind: str) -> Wave:
+    """Every row by itself."""
+    found = wave(t, scale, kind)
+    return found._replace(parts=(found.parts[0], t))
 
 
 def waves(t: Any) -> dict[str, Any]:
@@ -143,6 +149,22 @@ def test_blocks_of_another_process_are_not_traced_again(folder: Path, monkeypatc
     other = blocks(rows, {"one": 0.3, "none": None})
     assert TRACED == ["sin", "sin"]
     np.testing.assert_array_equal(other.parts[0], plain.parts[0])
+
+
+def test_shares_of_devices_of_another_process_are_not_traced_again(folder: Path) -> None:
+    """One program for each number of rows."""
+
+    def shares(rows: Any) -> Wave:
+        found: Wave = OverDevices(wave_alone, {"kind": "sin"})(rows, ARGUMENTS[1])
+        return found
+
+    rows = np.linspace(0.0, 3.0, 7)
+    first, second = shares(rows), shares(rows)
+    assert TRACED == ["sin"]
+    assert_same(first, second)
+    np.testing.assert_array_equal(first.parts[0], np.sin(rows) * 0.3)
+    shares(rows[:2])
+    assert TRACED == ["sin", "sin"]
 
 
 @pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: data[:200] + b"?" + data[201:], lambda _: b""])

@@ -86,12 +86,13 @@ class Problem(NamedTuple):
 @cache
 def over_starts(function: Callable[..., Values], structure: ProblemStructure) -> OverDevices:
     """Compiled once per structure and shapes; each device has its share of the starts."""
+    return OverDevices(_on_device, {"with_slopes": function is value_and_gradient, "structure": structure})
 
-    def on_device(rows: Any, shared: Any) -> Values:
-        (z, margins, hard), (data, width) = rows, shared
-        return function(z, data._replace(margins=margins, hard=hard), width, structure)
 
-    return OverDevices(on_device)
+def _on_device(rows: Any, shared: Any, with_slopes: bool, structure: ProblemStructure) -> Values:
+    (z, margins, hard), (data, width) = rows, shared
+    function = value_and_gradient if with_slopes else value_alone
+    return function(z, data._replace(margins=margins, hard=hard), width, structure)
 
 
 def training(spec: TuneSpec, seeds: Sequence[int]) -> list[Experiment]:

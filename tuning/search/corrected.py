@@ -7,7 +7,7 @@ constraint of its own, with its exact gradient, and takes some ten evaluations.
 Source: D. Kraft, A software package for sequential quadratic programming, DFVLR-FB 88-28, 1988 (`scipy.optimize`).
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxmpc.metrics import Metrics
 from jaxmpc.xla.shared import JitShared
+from jaxmpc.xla.store import kept_or_plain
 from tuning.job.spec import TuneSpec
 from tuning.objective.loss import HEADROOM, constrained
 from tuning.objective.measures import Data, ProblemStructure
@@ -103,13 +104,12 @@ def values_and_slopes(structure: ProblemStructure, moved: tuple[int, ...]) -> Ji
 
     Forward mode: some ten numbers move, and there are as many constraints as goals times tissues.
     """
-    places = jnp.array(moved)
+    return JitShared(partial(kept_or_plain, _evaluated, {"structure": structure, "moved": moved}))
 
-    def evaluate(x: Any, z: Any, data: Data) -> tuple[Array, Array]:
-        def values(x: Array) -> Array:
-            return constrained(jnp.asarray(z).at[places].set(x)[None], data, structure)[0]
 
-        found, push = jax.linearize(values, jnp.asarray(x))
-        return found, jax.vmap(push, out_axes=1)(jnp.eye(len(moved)))
+def _evaluated(x: Any, z: Any, data: Data, structure: ProblemStructure, moved: tuple[int, ...]) -> tuple[Array, Array]:
+    def values(x: Array) -> Array:
+        return constrained(jnp.asarray(z).at[jnp.array(moved)].set(x)[None], data, structure)[0]
 
-    return JitShared(evaluate)
+    found, push = jax.linearize(values, jnp.asarray(x))
+    return found, jax.vmap(push, out_axes=1)(jnp.eye(len(moved)))
