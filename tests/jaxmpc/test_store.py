@@ -35,9 +35,9 @@ def wave(t: Any, scale: Any, kind: str) -> Wave:
     return Wave(found > 0.0, (found, jnp.sum(found)), None)
 
 
-def wave_alone(t: Any, scale: Any, kind: str) -> Wave:
-    """Every row by itself."""
-    found = wave(t, scale, kind)
+def wave_alone(t: Any, scale: Any, kind: str, times: float = 1.0) -> Wave:
+    """Every row by itself; what has a default need not be given."""
+    found = wave(times * t, scale, kind)
     return found._replace(parts=(found.parts[0], t))
 
 

@@ -28,6 +28,10 @@ FEWER = (9, 3)
 """And so many known stiffnesses of a family besides its knots, at the middle and the ends of the band."""
 
 
+FUNCTIONS = {each.__name__: each for each in (value_alone, value_and_gradient)}
+"""By name: a traced program that is kept is told from others by what can be written down."""
+
+
 class Problem(NamedTuple):
     """What the descent descends on."""
 
@@ -86,13 +90,12 @@ class Problem(NamedTuple):
 @cache
 def over_starts(function: Callable[..., Values], structure: ProblemStructure) -> OverDevices:
     """Compiled once per structure and shapes; each device has its share of the starts."""
-    return OverDevices(_on_device, {"with_slopes": function is value_and_gradient, "structure": structure})
+    return OverDevices(_on_device, {"name": function.__name__, "structure": structure})
 
 
-def _on_device(rows: Any, shared: Any, with_slopes: bool, structure: ProblemStructure) -> Values:
+def _on_device(rows: Any, shared: Any, name: str, structure: ProblemStructure) -> Values:
     (z, margins, hard), (data, width) = rows, shared
-    function = value_and_gradient if with_slopes else value_alone
-    return function(z, data._replace(margins=margins, hard=hard), width, structure)
+    return FUNCTIONS[name](z, data._replace(margins=margins, hard=hard), width, structure)
 
 
 def training(spec: TuneSpec, seeds: Sequence[int]) -> list[Experiment]:
