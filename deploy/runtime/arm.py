@@ -57,7 +57,8 @@ class ArmRuntime:
         self._controller, self._compensated = controller, compensated
         self.start(controller.posture)
         ahead = ((0.0,) * len(controller.gains.mpc_ref),) * 3 if preview else _THREE
-        memory, seen = (self._axes, self._bristles, self._guard, self._momentum), (_FOUR, _FOUR)
+        memory = self._axes, self._bristles, self._guard, self._momentum, self._heart
+        seen = _FOUR, _FOUR
         control = compile_straightline(law.control, (*memory, _THREE, _FOUR, *seen, _THREE, ahead))
         self.operations = control.operations
         self._control = control.function
@@ -77,10 +78,10 @@ class ArmRuntime:
         self._change = self.last_torque = _FOUR
         self._found: Any = None
 
-    def _hold(self, measured: Any, axes: Any, bristles: Any, guard: Any, momentum: Any) -> None:
+    def _hold(self, measured: Any, axes: Any, bristles: Any, guard: Any, momentum: Any, heart: Any) -> None:
         """Keep the parts of a `ControllerState`, each of which changes where the others rest."""
         self._measured, self._axes, self._bristles, self._guard = measured, axes, bristles, guard
-        self._momentum = momentum
+        self._momentum, self._heart = momentum, heart
 
     def velocity(self, q: Vector4) -> Vector4:
         """Filtered joint velocities [rad/s] from measured angles [rad]; once a sample."""
@@ -92,7 +93,8 @@ class ArmRuntime:
 
         While the wanted force is the measured one, `control` begins with the same a that was asked for so far.
         """
-        self._axes, self._guard, self._momentum, self._applied = self._enter((q, self._measured[1]), force, self.last_a)
+        entered = self._enter((q, self._measured[1]), force, self.last_a)
+        self._axes, self._guard, self._momentum, self._heart, self._applied = entered
         self.last_v, self._change = self._applied, _FOUR
 
     def control(self, q: Vector4, qd: Vector4, force: Vector3 | None, force_ref: Any) -> Vector4:
@@ -115,6 +117,7 @@ class ArmRuntime:
             self._bristles,
             self._guard,
             self._momentum,
+            self._heart,
             self._applied,
             self._change,
             q,
@@ -122,7 +125,7 @@ class ArmRuntime:
             force,
             force_ref,
         )
-        self._axes, self._bristles, self._guard, self._momentum = memory
+        self._axes, self._bristles, self._guard, self._momentum, self._heart = memory
         self.last_v = self._applied = v
         self._change = _FOUR
         return self.last_torque

@@ -32,6 +32,7 @@ class ArmLaw:
         bristles: Any,
         guard: Any,
         momentum: Any,
+        heart: Any,
         applied: Any,
         change: Any,
         q: Any,
@@ -40,7 +41,7 @@ class ArmLaw:
         force_ref: Any,
     ) -> Any:
         """A sample of contact: what is remembered, commands, torques, and what tells a torque from a command."""
-        state = ControllerState(MeasurementState(q, qd), axes, bristles, guard, momentum)
+        state = ControllerState(MeasurementState(q, qd), axes, bristles, guard, momentum, heart)
         state = force_control.holding(state, applied, change)
         wanted = force_ref if self.preview else tuple((axis,) for axis in force_ref)
         state, command = force_control.respond(self.controller, state, force, wanted, OPS)
@@ -60,7 +61,7 @@ class ArmLaw:
         """Memory of the law where contact is made."""
         resting = force_control.init(self.controller, _FOUR, force)
         state = entry.enter(self.controller, resting._replace(measured=measured), force, a, OPS)
-        return state.axes, state.guard, state.momentum, tuple(axis.v for axis in state.axes)
+        return state.axes, state.guard, state.momentum, state.pace, tuple(axis.v for axis in state.axes)
 
     def servo(self, bristles: Any, q: Any, qd: Any, a: Any, force: Any) -> Any:
         """Friction's memory, and torques for an acceleration of the tip."""

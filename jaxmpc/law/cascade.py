@@ -33,9 +33,10 @@ Erratum: eq. (13) prints the input Γᵣ u; Γᵣ L₁ u is needed for a DC gain
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from jaxmpc.law import force_filter
+from jaxmpc.law import force_filter, repetition
 from jaxmpc.law.force_filter import FilteredForce
 from jaxmpc.law.gains import Gains, order
+from jaxmpc.law.repetition import Learned
 from jaxmpc.law.scalar import Scalar
 from jaxmpc.law.stiffness import StiffnessEstimate, unknown
 
@@ -59,6 +60,8 @@ class AxisState(NamedTuple):
     """What is known of the tissue; None without a schedule."""
     earlier: Scalar | None = None
     """Estimate of the input before the last, where that has yet to act too [m/s²]; None where it has acted."""
+    learned: Learned | None = None
+    """What every beat repeats [N]; None where nothing is learned."""
 
 
 def init(gains: Gains, force: Scalar = 0.0) -> AxisState:
@@ -68,7 +71,10 @@ def init(gains: Gains, force: Scalar = 0.0) -> AxisState:
     tissue = None if schedule is None else unknown(schedule.identification, force)
     filtered = None if gains.force_filter is None else FilteredForce(force, zero)
     earlier = None if gains.K_earlier is None else zero
-    return AxisState((force, zero, zero), zero, force, zero, (zero,) * (order(gains) - 1), filtered, tissue, earlier)
+    learning = None if schedule is None else schedule.repetition
+    learned = None if learning is None else repetition.nothing(learning, force)
+    trend = (zero,) * (order(gains) - 1)
+    return AxisState((force, zero, zero), zero, force, zero, trend, filtered, tissue, earlier, learned)
 
 
 def filter_force(gains: Gains, state: AxisState, force: Scalar) -> tuple[AxisState, Scalar]:

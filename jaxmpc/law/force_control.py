@@ -18,6 +18,8 @@ from jaxmpc.law import (
     gain_backoff,
     measurement,
     momentum_observer,
+    pace,
+    repetition,
     schedule,
 )
 from jaxmpc.law.cascade import AxisState
@@ -29,6 +31,7 @@ from jaxmpc.law.gains import Gains, backed_off
 from jaxmpc.law.measurement import Measurement, MeasurementState
 from jaxmpc.law.momentum_observer import MomentumState
 from jaxmpc.law.ops import Ops
+from jaxmpc.law.pace import Pace
 from jaxmpc.law.scalar import ZERO, Scalar, Vector, add, apply, dot, plus, sub, times
 
 NO_FRICTION = (0.0, 0.0, 0.0, 0.0)
@@ -66,6 +69,8 @@ class ControllerState(NamedTuple):
     """State of the gain back-off; None where the gain is never taken back."""
     momentum: MomentumState | None = None
     """State of the observer of the joints' momentum; None where nothing is observed."""
+    pace: Pace | None = None
+    """What is known of the heart's rate; None where no beat is learned."""
 
 
 class Command(NamedTuple):
@@ -93,7 +98,9 @@ def init(controller: Controller, angle: Vector, force: Vector, compensated: bool
     bristles = friction_compensation.init(angle) if compensated else None
     measured = measurement.init(angle)
     momentum = None if controller.momentum_bandwidth is None else momentum_observer.init(measured.velocity)
-    return ControllerState(measured, (x, y, z), bristles, guard, momentum)
+    learning = schedule.repetition_of(controller.gains)
+    heart = None if learning is None else pace.init(learning.finder, force[0])
+    return ControllerState(measured, (x, y, z), bristles, guard, momentum, heart)
 
 
 def step(
@@ -137,19 +144,19 @@ def respond(
         schedule.listen(gains, axis, y, x, ahead[0], taken, anywhere, ops)
         for axis, y, x, ahead in zip(state.axes, force, tip.position, force_ref, strict=True)
     ]
-    filtered = [cascade.filter_force(gains, axis, y) for (axis, _, _), y in zip(heard, force, strict=True)]
-    force = tuple(each for _, each in filtered)
+    listening, dithers, answers = zip(*heard, strict=True)
+    filtered = [cascade.filter_force(gains, axis, y) for axis, y in zip(listening, force, strict=True)]
+    force, speed = tuple(each for _, each in filtered), apply(tip.jacobian, qd)
+    error = sub(sub(force, answers), tuple(wanted[0] for wanted in force_ref))
     if gains.guard is not None and guard is not None:
-        _, dithers, answers = zip(*heard, strict=True)
-        error = sub(sub(force, answers), tuple(wanted[0] for wanted in force_ref))
         guard = gain_backoff.step(gains.guard, guard, error, ops, (*dithers, *answers))
+    heart, learned, added = _repeated(gains, state.pace, [axis for axis, _ in filtered], error, speed, ops)
     axes, v, damping = [], [], []
-    speed = apply(tip.jacobian, qd)
-    for (axis, y), (_, dither, _), ahead, xdot in zip(filtered, heard, force_ref, speed, strict=True):
+    for axis, y, besides, ahead, xdot in zip(learned, force, add(dithers, added), force_ref, speed, strict=True):
         known, K2 = schedule.now(gains, controller.K2, axis, ops)
         if guard is not None:
             known = backed_off(known, guard.memory.gain, ops)
-        following, command = cascade.respond(known, axis, y, tuple(plus(wanted, dither) for wanted in ahead))
+        following, command = cascade.respond(known, axis, y, tuple(plus(wanted, besides) for wanted in ahead))
         damping.append(times(K2, xdot))
         axes.append(following)
         v.append(command)
@@ -157,7 +164,26 @@ def respond(
     bristles, torque = torque_for(controller, state, add(a, push), force, ops)
     momentum, torque = _undisturbed(controller, state, torque)
     x, y, z = axes
-    return ControllerState(state.measured, (x, y, z), bristles, guard, momentum), Command(torque, tuple(v), a)
+    after = ControllerState(state.measured, (x, y, z), bristles, guard, momentum, heart)
+    return after, Command(torque, tuple(v), a)
+
+
+def _repeated(
+    gains: Gains, known: Pace | None, axes: Sequence[AxisState], error: Vector, speed: Vector, ops: Ops
+) -> tuple[Pace | None, Sequence[AxisState], Vector]:
+    """What is known of the heart's beat, the axes, and what beats before tell to add to their wanted forces [N]."""
+    learning = schedule.repetition_of(gains)
+    if learning is None or known is None:
+        return known, axes, ZERO
+    known, heard = pace.step(learning.finder, known, speed[-1], ops)
+    beat = repetition.beat_of(learning, known, heard, ops)
+    found = [
+        repetition.step(learning, axis.learned, beat, e, axis.tissue.authority, ops)
+        for axis, e in zip(axes, error, strict=True)
+        if axis.learned is not None and axis.tissue is not None
+    ]
+    following = [axis._replace(learned=learned) for axis, (learned, _) in zip(axes, found, strict=True)]
+    return known, following, tuple(added for _, added in found)
 
 
 def _undisturbed(

@@ -5,6 +5,7 @@ from typing import Annotated, Any, NamedTuple
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.gain_backoff import GainBackoff
 from jaxmpc.law.ops import Ops
+from jaxmpc.law.repetition import Repetition
 from jaxmpc.law.scalar import Constant, Scalar
 from jaxmpc.law.stiffness import StiffnessIdentification
 
@@ -100,6 +101,8 @@ class GainSchedule(NamedTuple):
     knots: tuple[Knot, ...]
     """In the order of their stiffness."""
     identification: StiffnessIdentification
+    repetition: Repetition | None = None
+    """What learns of each beat for the next, where the stiffness is known; None learns nothing."""
 
 
 def order(gains: Gains) -> int:

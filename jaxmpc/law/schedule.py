@@ -15,6 +15,7 @@ from jaxmpc.law import identification
 from jaxmpc.law.cascade import AxisState
 from jaxmpc.law.gains import Gains, GainSchedule, with_gain
 from jaxmpc.law.ops import Ops
+from jaxmpc.law.repetition import Repetition
 from jaxmpc.law.scalar import Scalar
 from jaxmpc.law.stiffness import SILENT, Alarm
 
@@ -68,6 +69,11 @@ def listen(
     tissue = identification.step(constants, axis.tissue, force, tip, wanted, backed_off, anywhere, ops)
     heard = identification.answer(constants, tissue)
     return axis._replace(tissue=tissue), identification.dither(constants, tissue), heard
+
+
+def repetition_of(gains: Gains) -> Repetition | None:
+    """What learns of each beat for the next; None without a schedule, or where nothing learns."""
+    return None if gains.schedule is None else gains.schedule.repetition
 
 
 def alarm(axes: Iterable[AxisState], ops: Ops) -> Alarm:

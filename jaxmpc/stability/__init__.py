@@ -16,6 +16,7 @@ from jaxmpc import described
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.gains import Gains
 from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
+from jaxmpc.stability.held_beat import HeldBeat
 from jaxmpc.stability.loop import closed_loop_matrix, contacts_between, spectral_radius
 from jaxmpc.stability.response import loop_response
 from jaxmpc.status import Status
@@ -77,6 +78,8 @@ class Cells(NamedTuple):
     contacts: Contact
     residual: Any
     """Riccati residual of the design [-]."""
+    held: HeldBeat | None = None
+    """What is learned of the heart's beat; None learns nothing."""
 
 
 def cells_of(gains: Gains, contacts: Contact, residual: Any) -> Cells:
@@ -87,7 +90,8 @@ def cells_of(gains: Gains, contacts: Contact, residual: Any) -> Cells:
         contacts: Each (controllers, tissues).
         residual: Riccati residuals of the designs, (controllers,) [-].
     """
-    plain = gains._replace(mpc_ref=gains.mpc_ref[:, :1], guard=None, schedule=None)
+    summed = jnp.sum(gains.mpc_ref, axis=1, keepdims=True)
+    plain = gains._replace(mpc_ref=summed, guard=None, schedule=None)
     tissues = contacts.stiffness.shape[1]
     # One dimension of cells is traced twice as fast as two nested ones.
     return Cells(repeated(plain, tissues), reshaped(contacts, 2, -1), repeated(residual, tissues))
@@ -103,18 +107,24 @@ def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0
         residual: Riccati residual of the design [-].
     """
     # With ideal damping both cuts are the same one.
-    return _margins_cut(gains, contact, residual, jnp.zeros(1) if ideal else jnp.array([0.0, 1.0]))
+    return _margins_cut(Cells(gains, contact, residual), _cuts(ideal))
 
 
-def _margins_cut(gains: Gains, contact: Contact, residual: Any, cuts_at_a: Any) -> Margins:
-    """Margins at the worst of the cuts, (cuts,): 1 at a, 0 at v."""
-    radius = spectral_radius(closed_loop_matrix(gains, contact))
+def _cuts(ideal: bool) -> Array:
+    return jnp.zeros(1) if ideal else jnp.array([0.0, 1.0])
+
+
+def _margins_cut(cell: Cells, cuts_at_a: Any) -> Margins:
+    """Margins of one cell at the worst of the cuts, (cuts,): 1 at a, 0 at v."""
+    gains, contact, residual, held = cell
+    radius = spectral_radius(closed_loop_matrix(gains, contact, held))
 
     def margins_at(cut: Any) -> LoopMargins:
-        def loop(g: Gains, c: Contact) -> Loop:
-            return lambda theta, late=None: loop_response(g, c, theta, cut, late)
+        def loop(g: Gains, c: Contact, h: HeldBeat | None) -> Loop:
+            return lambda theta, late=None: loop_response(g, c, theta, cut, late, h)
 
-        return loop_margins(loop(gains, contact), loop(*jax.lax.stop_gradient((gains, contact))), contact.T_s)
+        parts = gains, contact, held
+        return loop_margins(loop(*parts), loop(*jax.lax.stop_gradient(parts)), contact.T_s)
 
     cuts = jax.vmap(margins_at)(cuts_at_a)
     worst = LoopMargins(jnp.max(cuts.M_s), *(jnp.min(cut) for cut in cuts[1:]))
@@ -126,7 +136,7 @@ def _margins_cut(gains: Gains, contact: Contact, residual: Any, cuts_at_a: Any) 
 
 
 def _margins_of_block(cells: Cells, cuts_at_a: Any) -> Margins:
-    found: Margins = jax.vmap(_margins_cut, in_axes=(0, 0, 0, None))(*cells, cuts_at_a)
+    found: Margins = jax.vmap(_margins_cut, in_axes=(0, None))(cells, cuts_at_a)
     return found
 
 
@@ -140,7 +150,7 @@ def margins_of_cells(cells: Cells, *, ideal: bool) -> Margins:
     Unless traced, all loops of controllers of one disturbance order, as they run and ideal, are judged by one program.
     """
     if traced(cells):
-        found: Margins = jax.vmap(lambda gains, contact, r: margins_one(gains, contact, ideal, r))(*cells)
+        found: Margins = jax.vmap(lambda cell: _margins_cut(cell, _cuts(ideal)))(cells)
         return found
     count, whole = len(cells.residual), padded(cells, CELLS)
     cuts = jnp.array([0.0, 0.0 if ideal else 1.0])

@@ -10,7 +10,9 @@ from jaxtyping import Array, Float
 
 from jaxmpc.law import cascade
 from jaxmpc.law.cascade import AxisState
-from jaxmpc.law.gains import Gains
+from jaxmpc.law.gains import Gains, constant_reference
+from jaxmpc.stability import held_beat
+from jaxmpc.stability.held_beat import HeldBeat
 from jaxmpc.synthesis.plant import hold_integrals
 from jaxmpc.world.contact import Contact, ContactState, init, move, sense
 from jaxmpc.world.loop_path import LoopPath
@@ -67,22 +69,29 @@ def _pole(cutoff: Any, T_s: Any) -> Any:
     return jnp.where(cutoff > 0.0, jnp.exp(-cutoff * T_s), 0.0)
 
 
-def closed_loop_matrix(gains: Gains, contact: Contact) -> Float[Array, "n n"]:
+def closed_loop_matrix(gains: Gains, contact: Contact, held: HeldBeat | None = None) -> Float[Array, "n n"]:
     """Transition matrix of one axis: controller and contact together.
 
     Args:
         gains: One controller.
         contact: One world; heart, noise and reference are zero.
+        held: What is learned of the heart's beat; None learns nothing.
     """
     zero = jnp.zeros_like(gains.mpc_u)
-    gains = gains._replace(mpc_ref=gains.mpc_ref[:1], schedule=None)
+    whole = constant_reference(gains._replace(schedule=None))
 
-    def advance(controller: AxisState, state: ContactState) -> tuple[AxisState, ContactState]:
+    def advance(controller: Any, state: ContactState) -> tuple[Any, ContactState]:
+        axis, learned = controller
         force, state = sense(contact, state, zero)
-        controller, v = cascade.step(gains, controller, force, (zero,))
-        return controller, move(contact, state, v)[0]
+        axis, force = cascade.filter_force(whole, axis, force)
+        added = zero
+        if held is not None:
+            learned, added = held_beat.step(held, learned, force)
+        axis, v = cascade.respond(whole, axis, force, (added,))
+        return (axis, learned), move(contact, state, v)[0]
 
-    return transition_matrix(gains, advance, cascade.init(gains, zero), init(zero))
+    start = cascade.init(whole, zero), None if held is None else held_beat.still(held)
+    return transition_matrix(gains, advance, start, init(zero))
 
 
 def transition_matrix(

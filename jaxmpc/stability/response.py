@@ -11,14 +11,16 @@ from jaxtyping import Array, Complex
 
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.gains import Gains
+from jaxmpc.stability import held_beat
+from jaxmpc.stability.held_beat import HeldBeat
 from jaxmpc.synthesis.plant import hold_integrals
 from jaxmpc.world.contact import Contact
 
 Response = Complex[Array, "..."]
 
 
-def controller_response(gains: Gains, q: Response) -> Response:
-    r"""V/Y of the cascade at q = z⁻¹ [m/s²/N], without a division before the last.
+def controller_response(gains: Gains, q: Response, held: HeldBeat | None = None) -> Response:
+    r"""V/Y of the cascade at q = z⁻¹ [m/s²/N], without a division before the last but one.
 
     Every signal is a combination of the innovation I and the command V. With the disturbance order N, d = 1 − q,
     e = 1 − φ₂₂ q, m = 1 − (1 − mᵤ) q the law's equations, from the observer's last state to its first, read
@@ -38,6 +40,9 @@ def controller_response(gains: Gains, q: Response) -> Response:
         e dᴺ X̃₂ = (γ₂ n_w + K₂ φ₂₂ dᴺ) I + γ₂ q² dᴺ V,  e dᴺ⁺¹ X̃₁ = (b n_w + (φ₁₂ K₂ + e K₁) dᴺ) I + q² dᴺ b V,
         V/Y = f_I / (dᴺ {q² [w₂ (K₂ (γ₁ − b) − γ₂ K₁) − w₁ b K₁] − (1 − K₁)(m e d + f_V)
                          − m [q² b K₃ + (1 + q L₃)(q b K_w + q φ₁₂ K₂ + e K₁)]}).
+
+    Where beats are learned (`held_beat`), −R Y is added to the wanted force, and ρ = Σ rᵢ times g to m V. In place of
+    f_I then stands f_I + g ρ R Y_I, with Y_I = n₁ + (1 − K₁) e dᴺ⁺¹, or q n₁ + e dᴺ⁺¹ where commands act later.
     """
     (phi_12, phi_22), (gamma_1, gamma_2) = gains.phi, gains.gamma
     K_1, K_2, K_3, *K_p = (gains.K[i] for i in range(len(gains.K)))
@@ -67,6 +72,10 @@ def controller_response(gains: Gains, q: Response) -> Response:
         rest = rest - (1.0 - K_1) * (m * e * d + from_V)
         late = q * b * gains.K_earlier + q * phi_12 * K_2 + e * K_1
         rest = rest - m * (q * q * b * K_3 + (1.0 + q * gains.L[2]) * late)
+    if held is not None:
+        late, kept = (1.0, 1.0 - K_1) if gains.K_earlier is None else (q, 1.0)
+        of_wanted = gains.input_gain * jnp.sum(gains.mpc_ref) * (late * n_1 + kept * e * d * integrators)
+        from_I = from_I + of_wanted * held_beat.response(held, q)
     response: Response = from_I / (integrators * rest)
     return response if gains.force_filter is None else response * filter_response(gains.force_filter, q)
 
@@ -175,7 +184,9 @@ def spring_integrals(spring: Any, duration: Any) -> tuple[Any, Any]:
     return 2.0 * half * jnp.cos(0.5 * omega * duration), 2.0 * half**2
 
 
-def loop_response(gains: Gains, contact: Contact, theta: Any, cut_at_a: Any, late: Any = None) -> Response:
+def loop_response(
+    gains: Gains, contact: Contact, theta: Any, cut_at_a: Any, late: Any = None, held: HeldBeat | None = None
+) -> Response:
     r"""Open-loop L(e^{jθ}) of the negative feedback 1 + L, cut at v or at a = v − K₂ẋ [-].
 
     With the force loop F and the damping loop D, and F₀, D₀ the same without the added delay, cutting
@@ -188,10 +199,11 @@ def loop_response(gains: Gains, contact: Contact, theta: Any, cut_at_a: Any, lat
         theta: Angles θ = ω T_s [rad].
         cut_at_a: 1 cuts at a, 0 at v.
         late: Delay added where it is cut [samples]; None is none.
+        held: What is learned of the heart's beat; None learns nothing.
     """
     q = jnp.exp(-1j * theta)
     from_force, from_velocity = filters(contact, q)
-    from_force = -controller_response(gains, q) * from_force
+    from_force = -controller_response(gains, q, held) * from_force
 
     def loops(delay: Any) -> tuple[Response, Response]:
         x, xdot = tip_response(contact, theta, delay)

@@ -18,6 +18,7 @@ from jaxmpc.quantities import HP_MAX, HU_MAX
 from jaxmpc.synthesis.feedback import state_feedback
 from jaxmpc.synthesis.force_filter import force_filter as kalman_filter
 from jaxmpc.synthesis.kalman import active_observer_gain, input_noise_gain
+from jaxmpc.synthesis.learning import repetition
 from jaxmpc.synthesis.mpc import first_move
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
@@ -103,7 +104,8 @@ def design_family(params: Params, T_s: Any, mask_width: Any = 1.0) -> tuple[Gain
         Knot(jnp.log(stiffness[i]), stacked.K2[i], jax.tree.map(lambda leaf, i=i: leaf[i], unit))
         for i in range(len(params.knots))
     )
-    return GainSchedule(knots, params.listening.constants(T_s)), jnp.max(residual)
+    learning = repetition(params.listening.harmonics, params.listening.beats, T_s)
+    return GainSchedule(knots, params.listening.constants(T_s), learning), jnp.max(residual)
 
 
 def _wide(params: Params) -> Params:

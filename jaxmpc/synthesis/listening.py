@@ -21,6 +21,8 @@ BOUNDS: Mapping[str, tuple[float, float, str]] = {
     "band": (0.01, 0.5, "-"),
     "prediction": (0.001, 0.2, "s"),
     "watching": (0.05, 10.0, "s"),
+    "harmonics": (0, 16, "(a whole number)"),
+    "beats": (1.0, 100.0, "-"),
 }
 BEYOND = 0.25
 """How far K̂ may leave the outer knots [-]."""
@@ -41,6 +43,8 @@ class Listening:
         band: Largest relative half width that counts as known [-].
         prediction: Time constant of the watch's filters [s].
         watching: Memory of the watch [s].
+        harmonics: Up to which one what beats of the heart repeat is learned [-]; 0 learns nothing.
+        beats: In how many beats most of it is learned [-].
 
     Raises:
         InputError: A value is out of bounds, or the stiffnesses do not rise.
@@ -55,6 +59,8 @@ class Listening:
     band: float = 0.06
     prediction: float = 0.0035
     watching: float = 1.0
+    harmonics: int = 8
+    beats: float = 2.5
 
     def __post_init__(self) -> None:
         places = self.stiffness
@@ -63,7 +69,8 @@ class Listening:
             raise InputError("listening.stiffness", list(places), "rising, each in [1, 1e6] N/m", "One for every knot.")
         for name, (low, high, unit) in BOUNDS.items():
             value = getattr(self, name)
-            if not (isinstance(value, int | float) and low <= value <= high):
+            kind = int if name == "harmonics" else int | float
+            if isinstance(value, bool) or not (isinstance(value, kind) and low <= value <= high):
                 raise InputError(f"listening.{name}", value, f"in [{low:g}, {high:g}] {unit}", "Leave it out.")
 
     @staticmethod

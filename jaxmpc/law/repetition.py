@@ -1,0 +1,157 @@
+r"""What every beat of the heart repeats is learned, and taken out before it comes: adaptive feedforward cancellation.
+
+With e the error of the force on one axis behind two low-passes, u = e^{jφ} the phase of the beat (`pace`) and its
+harmonics n = 1…N (after Bodson and Douglas, Automatica 33, 1997),
+
+    c_n ← c_n − g_n ω e₁ (uⁿ)*,   r = h Re Σ c_n wⁿ,   w = u e^{jωd}
+
+and r is added to the wanted force. The lead d is what low-passes and loop take to answer, so that in e, when the beat
+has come to where r was meant for, h Re Σ c_n uⁿ of it is seen. Hence what the error would be with nothing of what is
+learned, e₀ = e − h Re Σ c_n uⁿ, and with all of it, e₁ = e₀ + Re Σ c_n uⁿ; and h is what it earns:
+
+    h = clip(a (1 − ⟨e₁²⟩/⟨e₀²⟩), 0, 1)
+
+At a rate that stays, each harmonic is a resonator: what repeats is gone in a few beats. Of what does not repeat, as
+where atria fibrillate, h leaves nothing learned. The low-passes keep the resonators' skirts from where the loop has its
+least margin. It is known how the loop answers only as far as the stiffness of the tissue is, so what is learned counts,
+and is learned, to the share of the schedule's authority.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, NamedTuple
+
+from jaxmpc.law.ops import Ops
+from jaxmpc.law.pace import Pace, PaceFinder, Pair
+from jaxmpc.law.scalar import Constant, Scalar
+
+LOUDEST = 0.1
+"""Largest error from which one sample learns [N]: an early beat teaches little of the next."""
+LARGEST = 1.0
+"""Largest force that is added [N]."""
+PROVEN = 2.0
+"""a, inverse of the share of the error's power that what is learned must take away to be used whole [-]."""
+UNHEARD = 1e-12
+"""Power far below the sensor's noise, with which quotients and their slopes stay finite [N²]."""
+FADING = 12.0
+"""Below the highest frequency that is learned, over which harmonics fade [rad/s]."""
+
+
+class Repetition(NamedTuple):
+    """Constants; each may be a batch."""
+
+    finder: PaceFinder
+    """How the heart's beat is followed."""
+    gains: Annotated[Any, Constant((None,))]
+    """g_n, what of each harmonic is learned in a radian of the beat [s], shape (N,)."""
+    smoothing: Annotated[Scalar, Constant(low=0.0, below=1.0)]
+    """Share of each low-pass of the error that is new in a sample [-]."""
+    judging: Annotated[Scalar, Constant(low=0.0, below=1.0)]
+    """What is forgotten of the mean squares of the error in a radian of the beat, times a sample [s]."""
+    highest: Annotated[Scalar, Constant(low=1.0, below=1e3)]
+    """Highest frequency of a harmonic that is learned [rad/s]."""
+    lead: Annotated[Scalar, Constant(low=0.0, below=0.1)]
+    """d [s]."""
+
+
+class Learned(NamedTuple):
+    """What is remembered of one axis."""
+
+    error: Pair
+    """Of the force, behind one low-pass and behind two [N]."""
+    parts: tuple[Pair, ...]
+    """c_n, real and imaginary part [N]."""
+    power: Pair
+    """⟨e₁²⟩ and ⟨e₀²⟩ [N²]."""
+    used: Scalar
+    """h times the authority [-]."""
+
+
+class Beat(NamedTuple):
+    """The heart's beat at one sample, for all axes."""
+
+    rate: Scalar
+    """ω [rad/s]."""
+    now: Sequence[Pair]
+    """uⁿ"""
+    ahead: Sequence[Pair]
+    """wⁿ"""
+    shares: Sequence[Scalar]
+    """How far each harmonic is learned and used [-]."""
+
+
+def nothing(constants: Repetition, like: Scalar) -> Learned:
+    """Nothing is learned; in the form of a finite number."""
+    zero = 0.0 * like
+    none = zero, zero
+    return Learned(none, tuple(none for _ in range(len(constants.gains))), none, zero)
+
+
+def beat_of(constants: Repetition, known: Pace, heard: Scalar, ops: Ops) -> Beat:
+    """The beat from what is known of it, and from how much of that is the heart [-]."""
+    count, (cosine, sine), turned = len(constants.gains), known.phase, known.rate * constants.lead
+    # The size stays, but for the fourth power of a small angle.
+    straight = 1.0 - 0.5 * turned * turned
+    ahead = cosine * straight - sine * turned, sine * straight + cosine * turned
+    shares = [heard * share(constants, (n + 1.0) * known.rate, ops) for n in range(count)]
+    return Beat(known.rate, _powers(known.phase, count), _powers(ahead, count), shares)
+
+
+def share(constants: Repetition, frequency: Scalar, ops: Ops) -> Scalar:
+    """How far a harmonic of this frequency [rad/s] is learned [-]."""
+    return ops.clip((constants.highest - frequency) / FADING, 0.0, 1.0)
+
+
+def step(
+    constants: Repetition, learned: Learned, beat: Beat, error: Scalar, authority: Scalar, ops: Ops
+) -> tuple[Learned, Scalar]:
+    """Advance one axis by one sample.
+
+    Args:
+        constants: Constants.
+        learned: What `nothing` or the last `step` returned.
+        beat: Where the heart is in its beat.
+        error: Measured less wanted force [N].
+        authority: Share of the control that the schedule has [-].
+        ops: Scalar functions.
+
+    Returns:
+        What is learned, and what is added to the wanted force [N].
+    """
+    once, twice = learned.error
+    once = once + constants.smoothing * (error - once)
+    twice = twice + constants.smoothing * (once - twice)
+    seen = _sum(beat.shares, learned.parts, beat.now)
+    without = twice - learned.used * seen
+    whole = without + seen
+    (of_whole, of_without), new = learned.power, constants.judging * beat.rate
+    of_whole, of_without = (
+        of_whole + new * (whole * whole - of_whole),
+        of_without + new * (without * without - of_without),
+    )
+    told = -authority * beat.rate * ops.clip(whole, -LOUDEST, LOUDEST)
+    parts = tuple(
+        (real + gain * part * told * cosine, imaginary - gain * part * told * sine)
+        for gain, part, (real, imaginary), (cosine, sine) in zip(
+            constants.gains, beat.shares, learned.parts, beat.now, strict=True
+        )
+    )
+    used = authority * ops.clip(PROVEN * (1.0 - of_whole / (of_without + UNHEARD)), 0.0, 1.0)
+    added = used * ops.clip(_sum(beat.shares, parts, beat.ahead), -LARGEST, LARGEST)
+    return Learned((once, twice), parts, (of_whole, of_without), used), added
+
+
+def _sum(shares: Sequence[Scalar], parts: Sequence[Pair], turned: Sequence[Pair]) -> Scalar:
+    """Re Σ h_n c_n zⁿ [N]."""
+    total: Scalar = 0.0
+    for part, (real, imaginary), (cosine, sine) in zip(shares, parts, turned, strict=True):
+        total = total + part * (real * cosine - imaginary * sine)
+    return total
+
+
+def _powers(phase: Pair, count: int) -> list[Pair]:
+    """Powers 1…count of a complex number."""
+    (cosine, sine), found = phase, [phase]
+    for _ in range(count - 1):
+        real, imaginary = found[-1]
+        found.append((real * cosine - imaginary * sine, imaginary * cosine + real * sine))
+    return found

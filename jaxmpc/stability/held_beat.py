@@ -1,0 +1,79 @@
+r"""What a controller that learns the beat is while the heart's rate stays: resonators beside the force it wants.
+
+With s_n = c_n uⁿ the law of `jaxmpc.law.repetition` has no phase any more. The authority of the schedule is 1, the
+heart is heard, no error is too large, and all that is learned is used, h = 1:
+
+    s_n ← e^{jnωT_s} s_n − k_n e,   r = Σ h_n Re(s_n e^{jnωd}),   k_n = g_n ω h_n
+
+with the share h_n of each harmonic, so that r = −R e behind the two low-passes of e, and at q = z⁻¹
+
+    R = Σ h_n k_n (cos nωd − q cos nω(d − T_s))/(1 − 2 q cos nωT_s + q²)
+
+Rates that move are no matter of margins but of trials.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxmpc.law.repetition import Repetition, share
+from jaxmpc.xla import ops
+
+
+class HeldBeat(NamedTuple):
+    """What is learned, and at which rate of the heart."""
+
+    repetition: Repetition
+    rate: Any
+    """ω [rad/s]."""
+
+
+class Resonators(NamedTuple):
+    """State of the resonators."""
+
+    error: Any
+    """Behind one low-pass and behind two, (2,) [N]."""
+    parts: Any
+    """s_n, real and imaginary part, (N, 2) [N]."""
+
+
+def still(held: HeldBeat) -> Resonators:
+    """Nothing learned."""
+    zero = 0.0 * held.rate
+    return Resonators(jnp.stack([zero, zero]), jnp.zeros((len(held.repetition.gains), 2)) + zero)
+
+
+def step(held: HeldBeat, state: Resonators, error: Any) -> tuple[Resonators, Any]:
+    """One sample: what is learned, and what is added to the wanted force [N]; linear in state and error."""
+    smoothing = held.repetition.smoothing
+    once = state.error[0] + smoothing * (error - state.error[0])
+    twice = state.error[1] + smoothing * (once - state.error[1])
+    frequency, learned, used = _harmonics(held)
+    turn, lead = frequency * held.repetition.finder.T_s, frequency * held.repetition.lead
+    # A harmonic that is too fast to be learned is no part of the loop.
+    real, imaginary = jnp.where(used > 0.0, state.parts.T, 0.0)
+    real, imaginary = (
+        real * jnp.cos(turn) - imaginary * jnp.sin(turn) - learned * twice,
+        imaginary * jnp.cos(turn) + real * jnp.sin(turn),
+    )
+    added = jnp.sum(used * (real * jnp.cos(lead) - imaginary * jnp.sin(lead)))
+    return Resonators(jnp.stack([once, twice]), jnp.stack([real, imaginary], axis=1)), added
+
+
+def response(held: HeldBeat, q: Any) -> Any:
+    """R with the low-passes, at q = z⁻¹ [-]."""
+    frequency, learned, used = (each[:, None] for each in _harmonics(held))
+    T_s, lead, smoothing = held.repetition.finder.T_s, held.repetition.lead, held.repetition.smoothing
+    at = jnp.ravel(q)
+    upper = jnp.cos(frequency * lead) - at * jnp.cos(frequency * (lead - T_s))
+    lower = 1.0 - 2.0 * at * jnp.cos(frequency * T_s) + at * at
+    low_pass = smoothing / (1.0 - (1.0 - smoothing) * at)
+    return jnp.reshape(low_pass**2 * jnp.sum(learned * used * upper / lower, axis=0), jnp.shape(q))
+
+
+def _harmonics(held: HeldBeat) -> tuple[Any, Any, Any]:
+    """Frequencies nω [rad/s], k_n and h_n [-], each (N,)."""
+    gains = jnp.stack(list(held.repetition.gains))
+    frequency = held.rate * jnp.arange(1.0, len(gains) + 1.0)
+    used = share(held.repetition, frequency, ops)
+    return frequency, gains * held.rate * used, used
