@@ -136,9 +136,12 @@ def _schedule(artifact: "Artifact") -> str:
     places = ", ".join(f"{math.exp(knot.log_stiffness):.4g}" for knot in family.knots)
     listening = family.identification
     hertz = math.atan2(listening.turn[1], listening.turn[0]) / (2.0 * math.pi * artifact.T_s)
+    learning = family.repetition
+    learns = "" if learning is None else f"; then it learns {len(learning.gains)} harmonics of the heart's beat"
     return (
         f"knots at {places} N/m; begins with the gains for every tissue, finds the stiffness by a sine of "
         f"{listening.amplitude:g} N at {hertz:g} Hz, and takes over when it is known to ±{100.0 * listening.band:g} %"
+        f"{learns}"
     )
 
 

@@ -88,10 +88,9 @@ def nothing(constants: Repetition, like: Scalar) -> Learned:
 
 def beat_of(constants: Repetition, known: Pace, heard: Scalar, ops: Ops) -> Beat:
     """The beat from what is known of it, and from how much of that is the heart [-]."""
-    count, (cosine, sine), turned = len(constants.gains), known.phase, known.rate * constants.lead
-    # The size stays, but for the fourth power of a small angle.
-    straight = 1.0 - 0.5 * turned * turned
-    ahead = cosine * straight - sine * turned, sine * straight + cosine * turned
+    count, (cosine, sine), angle = len(constants.gains), known.phase, known.rate * constants.lead
+    lead_cosine, lead_sine = ops.cos(angle), ops.sin(angle)
+    ahead = cosine * lead_cosine - sine * lead_sine, sine * lead_cosine + cosine * lead_sine
     shares = [heard * share(constants, (n + 1.0) * known.rate, ops) for n in range(count)]
     return Beat(known.rate, _powers(known.phase, count), _powers(ahead, count), shares)
 

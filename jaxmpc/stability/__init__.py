@@ -97,7 +97,9 @@ def cells_of(gains: Gains, contacts: Contact, residual: Any) -> Cells:
     return Cells(repeated(plain, tissues), reshaped(contacts, 2, -1), repeated(residual, tissues))
 
 
-def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0) -> Margins:
+def margins_one(
+    gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0, beats: HeldBeat | None = None
+) -> Margins:
     """Margins of one controller on one tissue; float64, traceable, differentiable.
 
     Args:
@@ -105,9 +107,19 @@ def margins_one(gains: Gains, contact: Contact, ideal: bool, residual: Any = 0.0
         contact: The world (see `contact_of`).
         ideal: Whether the damping is ideal: then both cuts are the same one.
         residual: Riccati residual of the design [-].
+        beats: What is learned of the heart's beat at several rates, of which the worst counts; None learns nothing.
     """
     # With ideal damping both cuts are the same one.
-    return _margins_cut(Cells(gains, contact, residual), _cuts(ideal))
+    if beats is None:
+        return _margins_cut(Cells(gains, contact, residual), _cuts(ideal))
+    return worst_of(jax.vmap(lambda beat: _margins_cut(Cells(gains, contact, residual, beat), _cuts(ideal)))(beats))
+
+
+def worst_of(margins: Margins) -> Margins:
+    """Over the last dimension; what is not a number stays so."""
+    largest = {name: jnp.max(getattr(margins, name), axis=-1) for name in ("M_s", "spectral_radius", "status")}
+    least: Margins = jax.tree.map(lambda leaf: jnp.min(leaf, axis=-1), margins)
+    return least._replace(**largest)
 
 
 def _cuts(ideal: bool) -> Array:

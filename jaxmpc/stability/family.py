@@ -15,10 +15,9 @@ from jaxtyping import Array, Float
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import schedule
 from jaxmpc.law.gains import Gains
-from jaxmpc.law.repetition import Repetition
 from jaxmpc.law.schedule import repetition_of
-from jaxmpc.stability import Cells, Margins, cells_of, margins_of_cells
-from jaxmpc.stability.held_beat import HeldBeat
+from jaxmpc.stability import Cells, Margins, cells_of, margins_of_cells, worst_of
+from jaxmpc.stability.held_beat import HeldBeat, at_rates
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design, design_one, designed
 from jaxmpc.synthesis.listening import Listening
@@ -113,33 +112,30 @@ def _held_cells(gains: Gains, K2: Any, residual: Any, stiffness: Any, ratios: An
 _cells = JitOnce(_held_cells)
 
 
-def _beating_cells(cells: Cells, repetition: Repetition, rates: Any) -> Cells:
-    """Each cell at every rate of the heart, the rates of one after another."""
-    beats = HeldBeat(jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, rates.shape), repetition), rates)
-    tiled = jax.tree.map(lambda leaf: jnp.tile(leaf, (len(cells.residual), *[1] * (leaf.ndim - 1))), beats)
-    return repeated(cells, len(rates))._replace(held=tiled)
-
-
-def _worst(margins: Margins) -> Margins:
-    """Over the last dimension; what is not a number stays so."""
-    largest = {name: jnp.max(getattr(margins, name), axis=-1) for name in ("M_s", "spectral_radius", "status")}
-    least: Margins = jax.tree.map(lambda leaf: jnp.min(leaf, axis=-1), margins)
-    return least._replace(**largest)
+def _beating_cells(cells: Cells, beats: HeldBeat) -> Cells:
+    """Each cell with each of the beats, (beats,), those of one after another."""
+    tiled = jax.tree.map(lambda leaf: jnp.tile(leaf, len(cells.residual)), beats)
+    return repeated(cells, len(beats.rate))._replace(held=tiled)
 
 
 @in_float64
 def family_margins(
-    params: Params, stiffness: Float[Array, " known"] | Any, ratios: Float[Array, " ratios"] | Any, path: LoopPath
+    params: Params,
+    stiffness: Float[Array, " known"] | Any,
+    ratios: Float[Array, " ratios"] | Any,
+    path: LoopPath,
+    rates: int = RATES,
 ) -> Margins:
     """Stability margins of a family of controllers with K̂ held.
 
-    Where it learns what beats of the heart repeat, the worst of not yet learning and of learning at `RATES`.
+    Where it learns what beats of the heart repeat, the worst of having learned nothing and of learning at each rate.
 
     Args:
         params: One controller with knots.
         stiffness: Known stiffnesses K̂ (known,) [N/m].
         ratios: K_s/K̂, (ratios,) [-].
         path: Delay, sampling and filters of the loop.
+        rates: How many rates of the heart.
 
     Returns:
         Margins, each (known, ratios).
@@ -152,12 +148,9 @@ def family_margins(
     known, band = jnp.asarray(stiffness, float), jnp.asarray(ratios, float)
     gains, residual = designed(reshaped(params, 0, 1), path.T_s, path.force_filter)
     cells = _cells(gains, params.K2, residual, known, band, path.with_cutoff(params.velocity_cutoff))
-    found = reshaped(margins_of_cells(cells, ideal=path.ideal), 1, len(known), len(band))
     learning = repetition_of(gains)
     if learning is None:
-        return found
-    first: Repetition = jax.tree.map(lambda leaf: leaf[0], learning)
-    rates = jnp.geomspace(first.finder.least, first.finder.most, RATES)
-    beating = margins_of_cells(_beating_cells(cells, first, rates), ideal=path.ideal)
-    over_rates = reshaped(beating, 1, len(known), len(band), RATES)
-    return _worst(jax.tree.map(lambda one, many: jnp.concatenate([one[..., None], many], -1), found, over_rates))
+        return reshaped(margins_of_cells(cells, ideal=path.ideal), 1, len(known), len(band))
+    beats = at_rates(jax.tree.map(lambda leaf: leaf[0], learning), rates)
+    found = margins_of_cells(_beating_cells(cells, beats), ideal=path.ideal)
+    return worst_of(reshaped(found, 1, len(known), len(band), len(beats.rate)))

@@ -14,6 +14,7 @@ Rates that move are no matter of margins but of trials.
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxmpc.law.repetition import Repetition, share
@@ -37,6 +38,21 @@ class Resonators(NamedTuple):
     """s_n, real and imaginary part, (N, 2) [N]."""
 
 
+def at_rates(repetition: Repetition, rates: int, learns: Any = True) -> HeldBeat:
+    """One controller's at rates of the heart, log-spaced over what it may have, (1 + rates,); the first learns nothing.
+
+    Args:
+        repetition: Its constants.
+        rates: How many.
+        learns: Whether it learns at all.
+    """
+    finder = repetition.finder
+    over = jnp.geomspace(finder.least, finder.most, rates)
+    share = jnp.where(learns, jnp.append(0.0, jnp.ones(rates)), 0.0)
+    wide: Repetition = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (1 + rates,)), repetition)
+    return HeldBeat(wide._replace(gains=tuple(share * gain for gain in wide.gains)), jnp.append(over[:1], over))
+
+
 def still(held: HeldBeat) -> Resonators:
     """Nothing learned."""
     zero = 0.0 * held.rate
@@ -50,8 +66,8 @@ def step(held: HeldBeat, state: Resonators, error: Any) -> tuple[Resonators, Any
     twice = state.error[1] + smoothing * (once - state.error[1])
     frequency, learned, used = _harmonics(held)
     turn, lead = frequency * held.repetition.finder.T_s, frequency * held.repetition.lead
-    # A harmonic that is too fast to be learned is no part of the loop.
-    real, imaginary = jnp.where(used > 0.0, state.parts.T, 0.0)
+    # A harmonic that is not learned is no part of the loop.
+    real, imaginary = jnp.where(learned > 0.0, state.parts.T, 0.0)
     real, imaginary = (
         real * jnp.cos(turn) - imaginary * jnp.sin(turn) - learned * twice,
         imaginary * jnp.cos(turn) + real * jnp.sin(turn),

@@ -11,6 +11,8 @@ from jaxtyping import Array, Float
 from jaxmpc.closed_loops import ClosedLoops, close_loops, margins_of, per_motion, run_loops
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
 from jaxmpc.law.gains import Gains
+from jaxmpc.law.repetition import Repetition
+from jaxmpc.law.schedule import repetition_of
 from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import HP_MAX, METRICS
@@ -21,6 +23,7 @@ from jaxmpc.spectra.spectrum import Spectrum
 from jaxmpc.spectra.true_force import swing_rms, true_rms
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.family import held
+from jaxmpc.stability.held_beat import at_rates
 from jaxmpc.stability.loop import contact_of, contacts_of, each_its_own
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
@@ -74,6 +77,10 @@ class Data(NamedTuple):
     """Metrics of the start point, (stiffness, scenarios, 3); for goals that are ratios."""
 
 
+FEWER_RATES = 3
+"""Rates of the heart at which a family that learns the beat is judged while it is tuned."""
+
+
 def judged_margins(loops: ClosedLoops, data: Data) -> Margins:
     """Margins of the loops that are judged, (starts, cells), as `jaxmpc.margins` defines them; traceable."""
     if data.believed is None:
@@ -82,10 +89,14 @@ def judged_margins(loops: ClosedLoops, data: Data) -> Margins:
     gains, contacts = known(loops, data.judged_at, data.believed, data.judged)
     residual = jnp.broadcast_to(loops.residual[:, None], contacts.stiffness.shape)
 
-    def one(gains: Gains, contact: Contact, residual: Any) -> Margins:
-        return margins_one(gains, contact, data.judged.ideal, residual)
+    def one(gains: Gains, contact: Contact, residual: Any, believed: Any, learning: Repetition | None) -> Margins:
+        # Where the stiffness is not known nothing is learned.
+        beats = None if learning is None else at_rates(learning, FEWER_RATES, jnp.isfinite(believed))
+        return margins_one(gains, contact, data.judged.ideal, residual, beats)
 
-    found: Margins = jax.vmap(jax.vmap(one))(gains, contacts, residual)
+    over_cells = jax.vmap(one, in_axes=(0, 0, 0, 0, None))
+    over_starts = jax.vmap(over_cells, in_axes=(0, 0, 0, None, 0))
+    found: Margins = over_starts(gains, contacts, residual, data.believed, repetition_of(loops.gains))
     return found
 
 

@@ -1,0 +1,240 @@
+"""What is learned of the beat: on hearts of every rhythm, against its linear model, and that against its response."""
+
+from dataclasses import replace
+from typing import Any
+
+import control
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from msgspec.structs import replace as changed
+
+from jaxmpc import Experiment, InputError, Params, design, evaluate
+from jaxmpc.engine.base import scalars
+from jaxmpc.law import pace, repetition
+from jaxmpc.law.ops import FLOATS
+from jaxmpc.stability import held_beat
+from jaxmpc.stability.crossings import search_angles
+from jaxmpc.stability.family import RATES, family_margins, held, judged_where
+from jaxmpc.stability.held_beat import HeldBeat
+from jaxmpc.stability.loop import closed_loop_matrix, contact_of
+from jaxmpc.stability.response import loop_response
+from jaxmpc.synthesis.learning import PULLING
+from jaxmpc.synthesis.learning import repetition as constants_of
+from jaxmpc.world.arrays import ARRAYS
+from jaxmpc.world.heart.motion import Motion, prepared
+
+T_s = 1e-3
+FAMILY = Params.published("family")
+LEARNING: Any = jax.tree.map(float, constants_of(8, 2.5, T_s))
+FREQUENCIES = 2.0 * np.pi * np.array([0.3, 1.0, 1.3, 2.7, 7.7, 9.9, 11.0, 17.0, 30.0, 200.0])
+
+
+def found_pace(motions: list[Motion], seconds: float) -> pace.Pace:
+    """What is known at every sample of tips that follow these hearts exactly, each field (samples, hearts)."""
+    t = T_s * np.arange(round(seconds / T_s))
+    speeds = np.stack([prepared(motion, seconds)(t)[1][:, 2] for motion in motions], axis=1)
+    state, rows = pace.init(LEARNING.finder, speeds[0]), []
+    for speed in speeds:
+        state, _ = pace.step(LEARNING.finder, state, speed, ARRAYS)
+        rows.append(state)
+    return jax.tree.map(lambda *each: np.stack(each), *rows)
+
+
+def hearts(rhythm: str, rates: list[float]) -> list[Motion]:
+    """Breathing, with drawn phases and amplitudes."""
+    return [
+        Motion(kind="rhythm", rhythm=rhythm, phases="random", seed=i, heart_rate_hz=f, start=1.0, amplitude_spread=0.3)
+        for i, f in enumerate(rates)
+    ]
+
+
+def test_the_rate_of_any_heart_is_found_in_ten_seconds() -> None:
+    """Within what the second harmonic of breathing, at 0.7 Hz, makes of it."""
+    rates = [0.9, 1.0, 1.265, 1.5, 1.83, 2.2, 2.45]
+    known = found_pace(hearts("steady", rates), 16.0)
+    relative = known.rate[12_000:] / (2.0 * np.pi * np.array(rates)) - 1.0
+    assert np.max(np.abs(relative)) < 0.1
+    assert np.max(np.abs(np.mean(relative, axis=0))) < 0.02
+
+
+def test_a_rate_that_steps_is_followed_and_the_phase_never_jumps() -> None:
+    steps, irregular = hearts("rate-step", [1.2]), hearts("fibrillation", [1.265, 1.5])
+    known = found_pace(steps + irregular, 18.0)
+    assert known.rate[9000, 0] == pytest.approx(2.0 * np.pi * 1.0, rel=0.05)
+    np.testing.assert_allclose(known.rate[16_000:, 0], 2.0 * np.pi * 110.0 / 60.0, rtol=0.05)
+    cosine, sine = known.phase
+    np.testing.assert_allclose(np.hypot(cosine, sine), 1.0, rtol=1e-6)  # a rotation's, to the fourth power of 0.02
+    turned = np.angle((cosine[1:] + 1j * sine[1:]) * (cosine[:-1] - 1j * sine[:-1])) / T_s
+    assert np.max(np.abs(turned - known.rate[:-1])) <= PULLING + 1e-3
+
+
+def test_a_tip_that_rests_is_no_heart() -> None:
+    state, noise = pace.init(LEARNING.finder, 0.0), np.random.Generator(np.random.Philox(3))
+    for speed in 1e-4 * noise.standard_normal(5000):
+        state, heard = pace.step(LEARNING.finder, state, float(speed), FLOATS)
+    assert heard < 0.05
+
+
+def steady_beat(rate: float, sample: int) -> repetition.Beat:
+    angle = rate * T_s * sample
+    known = pace.Pace(rate, (np.cos(angle), np.sin(angle)), (0.0, 0.0), (0.0, 0.0))
+    return repetition.beat_of(LEARNING, known, 1.0, FLOATS)
+
+
+def test_all_of_an_error_that_repeats_is_taken_away_and_earns_its_use() -> None:
+    """An error of six harmonics with noise, to which the loop answers after 3 ms."""
+    rate, random = 2.0 * np.pi * 1.265, np.random.Generator(np.random.Philox(4))
+    learned, added, left, used = repetition.nothing(LEARNING, 0.0), [0.0] * 3, [], []
+    for k in range(30_000):
+        repeats = sum(0.03 * np.cos(n * rate * T_s * k + n * n) / n for n in range(1, 7))
+        error = repeats + 0.005 * random.standard_normal() + added[-3]
+        learned, more = repetition.step(LEARNING, learned, steady_beat(rate, k), error, 1.0, FLOATS)
+        added.append(more)
+        left.append(repeats + added[-4])
+        used.append(learned.used)
+    assert np.std(left[:1000]) > 0.02
+    assert np.std(left[-5000:]) < 0.002
+    assert min(used[-5000:]) > 0.99
+
+
+def test_of_an_error_that_does_not_repeat_hardly_anything_is_used() -> None:
+    rate, random = 2.0 * np.pi * 1.265, np.random.Generator(np.random.Philox(5))
+    learned, added, drawn, slow = repetition.nothing(LEARNING, 0.0), 0.0, [], 0.0
+    sums = []
+    for k in range(30_000):
+        slow += 2.0 * np.pi * 5.0 * T_s * (0.2 * random.standard_normal() - slow)
+        learned, added = repetition.step(LEARNING, learned, steady_beat(rate, k), slow + added, 1.0, FLOATS)
+        drawn.append(slow)
+        sums.append(slow + added)
+    assert np.std(sums[5000:]) < 1.05 * np.std(drawn[5000:])
+
+
+def resonators(rate: float, gains: Any = LEARNING) -> tuple[HeldBeat, Any]:
+    beat = HeldBeat(gains, jnp.asarray(rate))
+    return beat, held_beat.still(beat)
+
+
+def test_at_a_rate_that_stays_the_law_is_its_linear_model() -> None:
+    """With all that is learned in use; small errors, so that none is too large."""
+    rate, random = 2.0 * np.pi * 1.7, np.random.Generator(np.random.Philox(6))
+    model, state = resonators(rate)
+    learned = repetition.nothing(LEARNING, 0.0)
+    step = jax.jit(held_beat.step)
+    for k in range(2000):
+        error = 1e-3 * random.standard_normal()
+        whole = learned._replace(used=1.0)
+        learned, added = repetition.step(LEARNING, whole, steady_beat(rate, k), error, 1.0, FLOATS)
+        state, expected = step(model, state, error)
+        if learned.used > 0.0:
+            assert added / learned.used == pytest.approx(float(expected), abs=1e-15)  # of 1e-5
+    assert np.abs(float(expected)) > 1e-6
+
+
+@pytest.mark.parametrize("hertz", [0.6, 1.265, 2.6])
+def test_the_response_of_the_model_is_that_of_python_control(hertz: float) -> None:
+    model, state = resonators(2.0 * np.pi * hertz)
+    flat, back = jax.flatten_util.ravel_pytree(state)
+
+    def one(vector: Any, error: Any) -> Any:
+        following, added = held_beat.step(model, back(vector), error)
+        return jax.flatten_util.ravel_pytree(following)[0], added
+
+    (A, C), (B, D) = (jax.jacfwd(one, argnums=i)(flat, jnp.zeros(())) for i in (0, 1))
+    system = control.ss(np.asarray(A), np.asarray(B)[:, None], np.asarray(C)[None], [[float(D)]], T_s)
+    expected = np.squeeze(control.frequency_response(system, FREQUENCIES).complex)
+    found = held_beat.response(model, jnp.exp(-1j * T_s * FREQUENCIES))
+    np.testing.assert_allclose(-np.asarray(found), expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("late", [1, 2])
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_loop_that_learns_has_its_poles_where_its_response_says(late: int, order: int) -> None:
+    """det(z − A) of the loop with the law in it over that of the loop without is (1 + L')/(1 + L), at any z.
+
+    The learner's own poles are divided out: those of its low-passes, and e^{±jnωT_s}.
+    """
+    params = Params(Khat_s=900.0, K2=10.0, designed_delay=late, disturbance_order=order, Q_p=1e-3 if order > 1 else 1.0)
+    gains = scalars(design(params), preview=False)
+    gains = gains._replace(mpc_ref=jnp.stack(list(gains.mpc_ref)))
+    contact = contact_of(810.0, params.K2, Experiment.published("table-1").loop_path())
+    beat, _ = resonators(2.0 * np.pi * 1.5)
+    with_it, without = (np.asarray(closed_loop_matrix(gains, contact, each)) for each in (beat, None))
+    theta = T_s * FREQUENCIES
+    z = np.exp(1j * theta)
+
+    def characteristic(A: np.ndarray) -> np.ndarray:
+        return np.array([np.linalg.det(at * np.eye(len(A)) - A) for at in z])
+
+    frequency = 1.5 * 2.0 * np.pi * np.arange(1, 9)
+    learns = frequency < LEARNING.highest
+    own = np.prod(
+        [
+            z**2 - 2.0 * z * np.cos(each * T_s) + 1.0 if known else z**2
+            for each, known in zip(frequency, learns, strict=True)
+        ],
+        axis=0,
+    )
+    own = own * (z - 1.0 + LEARNING.smoothing) ** 2
+    ratio = (1.0 + loop_response(gains, contact, theta, 0.0, held=beat)) / (
+        1.0 + loop_response(gains, contact, theta, 0.0)
+    )
+    np.testing.assert_allclose(characteristic(with_it) / characteristic(without) / own, ratio, rtol=1e-6)
+
+
+def test_margins_that_learn_are_the_worst_of_a_dense_search() -> None:
+    """Every rate, and 0.1 Hz between angles: a resonance is 0.2 Hz wide and more."""
+    path = Experiment.published("family-wam").loop_path()
+    known, ratios = np.array([375.0]), np.array([0.94, 1.06])
+    found = family_margins(FAMILY, known, ratios, path)
+    gains, K2 = held(design(FAMILY), FAMILY.K2, jnp.asarray(known))
+    one = jax.tree.map(lambda leaf: leaf[0], gains)
+    learning = design(FAMILY).schedule.repetition
+    for i, ratio in enumerate(ratios):
+        contact = contact_of(known[0] * ratio, K2[0], path.with_cutoff(FAMILY.velocity_cutoff))
+        theta = jnp.asarray(np.union1d(np.arange(1, 5000) * 2.0 * np.pi * 1e-4, np.asarray(search_angles())))
+        peaks = []
+        for rate in [None, *np.geomspace(learning.finder.least, learning.finder.most, RATES)]:
+            beat = None if rate is None else HeldBeat(learning, jnp.asarray(rate))
+            answers = [loop_response(one, contact, theta, cut, held=beat) for cut in (0.0, 1.0)]
+            peaks.append(max(float(jnp.max(1.0 / jnp.abs(1.0 + L))) for L in answers))
+            assert np.max(np.abs(np.linalg.eigvals(np.asarray(closed_loop_matrix(one, contact, beat))))) < 1.0
+        assert float(found.M_s[0, i]) == pytest.approx(max(peaks), rel=1e-3)
+
+
+def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
+    """At 13 rates; `family_margins` takes 6."""
+    path, (known, _) = Experiment.published("family-wam").loop_path(), judged_where(FAMILY.listening, 7)
+    found = family_margins(FAMILY, known, np.array([0.94, 1.06]), path, rates=13)
+    assert np.max(found.M_s) <= 2.0
+    assert np.min(found.gain_margin_db) >= 6.0
+    assert np.min(found.gain_reduction_db) >= 4.0
+    assert np.min(found.phase_margin_deg) >= 30.0
+    assert np.min(found.delay_margin_s) >= 1.5e-3
+    assert np.max(found.spectral_radius) < 1.0
+
+
+def test_on_the_arm_it_takes_a_third_of_what_a_regular_heart_leaves() -> None:
+    """20 s after 12 s; chatter stays."""
+    base = Experiment.published("family-wam")
+    motion = changed(base.motion, kind="rhythm", rhythm="variability", phases="random", seed=11)
+    experiment = changed(base, stiffness=(1900.0,), motion=motion)
+    nothing = replace(FAMILY, listening=replace(FAMILY.listening, harmonics=0))
+    learns, does_not = (evaluate(each, experiment).metrics for each in (FAMILY, nothing))
+    assert np.all(learns.rms < 0.75 * does_not.rms)
+    assert np.all(learns.true_rms < 0.75 * does_not.true_rms)
+    assert np.max(learns.chatter) < 1.02 * np.max(does_not.chatter)
+
+
+@pytest.mark.parametrize(("key", "value"), [("harmonics", 17), ("harmonics", 2.5), ("harmonics", True), ("beats", 0.5)])
+def test_a_wrong_setting_is_refused_by_name(key: str, value: Any) -> None:
+    listening = {**FAMILY.to_dict()["listening"], key: value}
+    with pytest.raises(InputError, match=f"listening.{key}"):
+        Params.from_dict({**FAMILY.to_dict(), "listening": listening})
+
+
+def test_no_harmonics_learn_nothing() -> None:
+    assert constants_of(0, 2.5, T_s) is None
+    nothing = replace(FAMILY, listening=replace(FAMILY.listening, harmonics=0))
+    assert design(nothing).schedule.repetition is None
