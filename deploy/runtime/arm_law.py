@@ -61,7 +61,7 @@ class ArmLaw:
         """Memory of the law where contact is made."""
         resting = force_control.init(self.controller, _FOUR, force)
         state = entry.enter(self.controller, resting._replace(measured=measured), force, a, OPS)
-        return state.axes, state.guard, state.momentum, state.pace, tuple(axis.v for axis in state.axes)
+        return state.axes, state.guard, state.momentum, state.pulse, tuple(axis.v for axis in state.axes)
 
     def servo(self, bristles: Any, q: Any, qd: Any, a: Any, force: Any) -> Any:
         """Friction's memory, and torques for an acceleration of the tip."""

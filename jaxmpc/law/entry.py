@@ -4,7 +4,7 @@ What was asked of the tip before contact, v = a + K₂ẋ, was all that held it 
 disturbance, p̂ = −v. While the wanted force is the measured one, the cascades then begin with the same a: no bump.
 """
 
-from jaxmpc.law import cascade, computed_torque, gain_backoff, momentum_observer, pace, schedule
+from jaxmpc.law import cascade, computed_torque, gain_backoff, momentum_observer, pulse, schedule
 from jaxmpc.law.force_control import Controller, ControllerState
 from jaxmpc.law.gains import backed_off
 from jaxmpc.law.ops import Ops
@@ -28,8 +28,8 @@ def enter(controller: Controller, state: ControllerState, force: Vector, a: Vect
     guard = None if controller.gains.guard is None else gain_backoff.init(0.0 * force[0])
     momentum = None if controller.momentum_bandwidth is None else momentum_observer.init(state.measured.velocity)
     learning = schedule.repetition_of(controller.gains)
-    heart = None if learning is None else pace.init(learning.finder, force[0])
-    return state._replace(axes=(x, y, z), guard=guard, momentum=momentum, pace=heart)
+    heart = None if learning is None else pulse.init(learning.finder, force[0])
+    return state._replace(axes=(x, y, z), guard=guard, momentum=momentum, pulse=heart)
 
 
 def expected_force(controller: Controller, state: ControllerState, ops: Ops) -> Vector:

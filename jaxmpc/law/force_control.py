@@ -18,7 +18,7 @@ from jaxmpc.law import (
     gain_backoff,
     measurement,
     momentum_observer,
-    pace,
+    pulse,
     repetition,
     schedule,
 )
@@ -31,7 +31,7 @@ from jaxmpc.law.gains import Gains, backed_off
 from jaxmpc.law.measurement import Measurement, MeasurementState
 from jaxmpc.law.momentum_observer import MomentumState
 from jaxmpc.law.ops import Ops
-from jaxmpc.law.pace import Pace
+from jaxmpc.law.pulse import Pulse
 from jaxmpc.law.scalar import ZERO, Scalar, Vector, add, apply, dot, plus, sub, times
 
 NO_FRICTION = (0.0, 0.0, 0.0, 0.0)
@@ -69,7 +69,7 @@ class ControllerState(NamedTuple):
     """State of the gain back-off; None where the gain is never taken back."""
     momentum: MomentumState | None = None
     """State of the observer of the joints' momentum; None where nothing is observed."""
-    pace: Pace | None = None
+    pulse: Pulse | None = None
     """What is known of the heart's rate; None where no beat is learned."""
 
 
@@ -99,7 +99,7 @@ def init(controller: Controller, angle: Vector, force: Vector, compensated: bool
     measured = measurement.init(angle)
     momentum = None if controller.momentum_bandwidth is None else momentum_observer.init(measured.velocity)
     learning = schedule.repetition_of(controller.gains)
-    heart = None if learning is None else pace.init(learning.finder, force[0])
+    heart = None if learning is None else pulse.init(learning.finder, force[0])
     return ControllerState(measured, (x, y, z), bristles, guard, momentum, heart)
 
 
@@ -150,7 +150,7 @@ def respond(
     error = sub(sub(force, answers), tuple(wanted[0] for wanted in force_ref))
     if gains.guard is not None and guard is not None:
         guard = gain_backoff.step(gains.guard, guard, error, ops, (*dithers, *answers))
-    heart, learned, added = _repeated(gains, state.pace, [axis for axis, _ in filtered], error, speed, ops)
+    heart, learned, added = _repeated(gains, state.pulse, [axis for axis, _ in filtered], error, speed, ops)
     axes, v, damping = [], [], []
     for axis, y, besides, ahead, xdot in zip(learned, force, add(dithers, added), force_ref, speed, strict=True):
         known, K2 = schedule.now(gains, controller.K2, axis, ops)
@@ -169,13 +169,13 @@ def respond(
 
 
 def _repeated(
-    gains: Gains, known: Pace | None, axes: Sequence[AxisState], error: Vector, speed: Vector, ops: Ops
-) -> tuple[Pace | None, Sequence[AxisState], Vector]:
+    gains: Gains, known: Pulse | None, axes: Sequence[AxisState], error: Vector, speed: Vector, ops: Ops
+) -> tuple[Pulse | None, Sequence[AxisState], Vector]:
     """What is known of the heart's beat, the axes, and what beats before tell to add to their wanted forces [N]."""
     learning = schedule.repetition_of(gains)
     if learning is None or known is None:
         return known, axes, ZERO
-    known, heard = pace.step(learning.finder, known, speed[-1], ops)
+    known, heard = pulse.step(learning.finder, known, speed[-1], ops)
     beat = repetition.beat_of(learning, known, heard, ops)
     found = [
         repetition.step(learning, axis.learned, beat, e, axis.tissue.authority, ops)

@@ -1,6 +1,6 @@
 r"""What every beat of the heart repeats is learned, and taken out before it comes: adaptive feedforward cancellation.
 
-With e the error of the force on one axis behind two low-passes, u = e^{jφ} the phase of the beat (`pace`) and its
+With e the error of the force on one axis behind two low-passes, u = e^{jφ} the phase of the beat (`pulse`) and its
 harmonics n = 1…N (after Bodson and Douglas, Automatica 33, 1997),
 
     c_n ← c_n − g_n ω e₁ (uⁿ)*,   r = h Re Σ c_n wⁿ,   w = u e^{jωd}
@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
 from jaxmpc.law.ops import Ops
-from jaxmpc.law.pace import Pace, PaceFinder, Pair
+from jaxmpc.law.pulse import Pair, Pulse, PulseFinder
 from jaxmpc.law.scalar import Constant, Scalar
 
 LOUDEST = 0.1
@@ -39,7 +39,7 @@ FADING = 12.0
 class Repetition(NamedTuple):
     """Constants; each may be a batch."""
 
-    finder: PaceFinder
+    finder: PulseFinder
     """How the heart's beat is followed."""
     gains: Annotated[Any, Constant((None,))]
     """g_n, what of each harmonic is learned in a radian of the beat [s], shape (N,)."""
@@ -57,7 +57,7 @@ class Learned(NamedTuple):
     """What is remembered of one axis."""
 
     error: Pair
-    """Of the force, behind one low-pass and behind two [N]."""
+    """Error of the force, behind one low-pass and behind two [N]."""
     parts: tuple[Pair, ...]
     """c_n, real and imaginary part [N]."""
     power: Pair
@@ -86,7 +86,7 @@ def nothing(constants: Repetition, like: Scalar) -> Learned:
     return Learned(none, tuple(none for _ in range(len(constants.gains))), none, zero)
 
 
-def beat_of(constants: Repetition, known: Pace, heard: Scalar, ops: Ops) -> Beat:
+def beat_of(constants: Repetition, known: Pulse, heard: Scalar, ops: Ops) -> Beat:
     """The beat from what is known of it, and from how much of that is the heart [-]."""
     count, (cosine, sine), angle = len(constants.gains), known.phase, known.rate * constants.lead
     lead_cosine, lead_sine = ops.cos(angle), ops.sin(angle)

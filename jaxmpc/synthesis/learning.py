@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxmpc.law.pace import PaceFinder
+from jaxmpc.law.pulse import PulseFinder
 from jaxmpc.law.repetition import Repetition
 
 SLOWEST, FIRST, FASTEST = 0.6, 1.2, 2.6
@@ -20,7 +20,7 @@ HIGHEST = 14.0
 """Highest frequency of a harmonic that is learned [Hz]: the fifth at the fastest rate. The sine that finds the
 stiffness is at 17."""
 SMOOTHING = 11.0
-"""Of each low-pass of the error [Hz]: the family's largest M_s stays what it is, where it would be 2.05 without."""
+"""Cut-off of each low-pass of the error [Hz]: the family's largest M_s stays 1.99, where it would be 2.05."""
 JUDGING = 1.0
 """Memory of what the error would be with what is learned, and without [beats]."""
 ANSWER = 0.003
@@ -38,7 +38,7 @@ def repetition(harmonics: int, beats: float, T_s: Any) -> Repetition | None:
     if harmonics == 0:
         return None
     turn = 2.0 * math.pi
-    finder = PaceFinder(
+    finder = PulseFinder(
         T_s=T_s,
         slow=1.0 - jnp.exp(-turn * BREATHING * T_s),
         cycles=CYCLES,

@@ -12,7 +12,7 @@ from msgspec.structs import replace as changed
 
 from jaxmpc import Experiment, InputError, Params, design, evaluate
 from jaxmpc.engine.base import scalars
-from jaxmpc.law import pace, repetition
+from jaxmpc.law import pulse, repetition
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.stability import held_beat
 from jaxmpc.stability.crossings import search_angles
@@ -31,13 +31,13 @@ LEARNING: Any = jax.tree.map(float, constants_of(8, 2.5, T_s))
 FREQUENCIES = 2.0 * np.pi * np.array([0.3, 1.0, 1.3, 2.7, 7.7, 9.9, 11.0, 17.0, 30.0, 200.0])
 
 
-def found_pace(motions: list[Motion], seconds: float) -> pace.Pace:
+def found_pulse(motions: list[Motion], seconds: float) -> pulse.Pulse:
     """What is known at every sample of tips that follow these hearts exactly, each field (samples, hearts)."""
     t = T_s * np.arange(round(seconds / T_s))
     speeds = np.stack([prepared(motion, seconds)(t)[1][:, 2] for motion in motions], axis=1)
-    state, rows = pace.init(LEARNING.finder, speeds[0]), []
+    state, rows = pulse.init(LEARNING.finder, speeds[0]), []
     for speed in speeds:
-        state, _ = pace.step(LEARNING.finder, state, speed, ARRAYS)
+        state, _ = pulse.step(LEARNING.finder, state, speed, ARRAYS)
         rows.append(state)
     return jax.tree.map(lambda *each: np.stack(each), *rows)
 
@@ -53,7 +53,7 @@ def hearts(rhythm: str, rates: list[float]) -> list[Motion]:
 def test_the_rate_of_any_heart_is_found_in_ten_seconds() -> None:
     """Within what the second harmonic of breathing, at 0.7 Hz, makes of it."""
     rates = [0.9, 1.0, 1.265, 1.5, 1.83, 2.2, 2.45]
-    known = found_pace(hearts("steady", rates), 16.0)
+    known = found_pulse(hearts("steady", rates), 16.0)
     relative = known.rate[12_000:] / (2.0 * np.pi * np.array(rates)) - 1.0
     assert np.max(np.abs(relative)) < 0.1
     assert np.max(np.abs(np.mean(relative, axis=0))) < 0.02
@@ -61,7 +61,7 @@ def test_the_rate_of_any_heart_is_found_in_ten_seconds() -> None:
 
 def test_a_rate_that_steps_is_followed_and_the_phase_never_jumps() -> None:
     steps, irregular = hearts("rate-step", [1.2]), hearts("fibrillation", [1.265, 1.5])
-    known = found_pace(steps + irregular, 18.0)
+    known = found_pulse(steps + irregular, 18.0)
     assert known.rate[9000, 0] == pytest.approx(2.0 * np.pi * 1.0, rel=0.05)
     np.testing.assert_allclose(known.rate[16_000:, 0], 2.0 * np.pi * 110.0 / 60.0, rtol=0.05)
     cosine, sine = known.phase
@@ -71,15 +71,15 @@ def test_a_rate_that_steps_is_followed_and_the_phase_never_jumps() -> None:
 
 
 def test_a_tip_that_rests_is_no_heart() -> None:
-    state, noise = pace.init(LEARNING.finder, 0.0), np.random.Generator(np.random.Philox(3))
+    state, noise = pulse.init(LEARNING.finder, 0.0), np.random.Generator(np.random.Philox(3))
     for speed in 1e-4 * noise.standard_normal(5000):
-        state, heard = pace.step(LEARNING.finder, state, float(speed), FLOATS)
+        state, heard = pulse.step(LEARNING.finder, state, float(speed), FLOATS)
     assert heard < 0.05
 
 
 def steady_beat(rate: float, sample: int) -> repetition.Beat:
     angle = rate * T_s * sample
-    known = pace.Pace(rate, (np.cos(angle), np.sin(angle)), (0.0, 0.0), (0.0, 0.0))
+    known = pulse.Pulse(rate, (np.cos(angle), np.sin(angle)), (0.0, 0.0), (0.0, 0.0))
     return repetition.beat_of(LEARNING, known, 1.0, FLOATS)
 
 

@@ -29,7 +29,7 @@ STRAY = 3.0
 """By how much the rate is believed to be wrong in one sample at most [rad/s]."""
 
 
-class PaceFinder(NamedTuple):
+class PulseFinder(NamedTuple):
     """Constants; each may be a batch."""
 
     T_s: Annotated[Scalar, Constant(low=1e-5, below=0.2)]
@@ -50,7 +50,7 @@ class PaceFinder(NamedTuple):
     """Highest [rad/s]."""
 
 
-class Pace(NamedTuple):
+class Pulse(NamedTuple):
     """What is known of the heart's beat, and all that this is gathered from."""
 
     rate: Scalar
@@ -63,13 +63,13 @@ class Pace(NamedTuple):
     """What the high-passes remember [m]."""
 
 
-def init(constants: PaceFinder, like: Scalar) -> Pace:
+def init(constants: PulseFinder, like: Scalar) -> Pulse:
     """Nothing is heard: contact has just been made; in the form of a finite number."""
     zero = 0.0 * like
-    return Pace(constants.first + zero, (1.0 + zero, zero), (zero, zero), (zero, zero))
+    return Pulse(constants.first + zero, (1.0 + zero, zero), (zero, zero), (zero, zero))
 
 
-def step(constants: PaceFinder, state: Pace, speed: Scalar, ops: Ops) -> tuple[Pace, Scalar]:
+def step(constants: PulseFinder, state: Pulse, speed: Scalar, ops: Ops) -> tuple[Pulse, Scalar]:
     """Advance by one sample.
 
     Args:
@@ -96,7 +96,7 @@ def step(constants: PaceFinder, state: Pace, speed: Scalar, ops: Ops) -> tuple[P
     cosine, sine = _turned((cosine, sine), angle + constants.pulling * T_s * lead)
     # Renormalised, since a rotation of floats would shrink or grow over hours.
     length = 1.5 - 0.5 * (cosine * cosine + sine * sine)
-    return Pace(rate, (length * cosine, length * sine), (real, imaginary), (once, twice)), 1.0 - FLOOR / power
+    return Pulse(rate, (length * cosine, length * sine), (real, imaginary), (once, twice)), 1.0 - FLOOR / power
 
 
 def _turned(pair: Pair, angle: Scalar) -> Pair:
