@@ -4,11 +4,12 @@
 
 A table of the residual over the time since the beat's onset is averaged over past beats, a share of the newest each,
 and what it says of the next beat is subtracted. That is what a law would leave that learns the beat, hears its onset at
-once and is answered at once: a bound of what is worth building, not a controller. 20 s after 12 s, the first quarter
-learns.
+once and is answered at once: a bound of what is worth building, not a controller. What a family learns itself
+(`jaxmpc.law.repetition`) is switched off. 20 s after 12 s, the first quarter learns.
 """
 
 import argparse
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -37,7 +38,7 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=0.5, help="of the newest beat in the table [-]")
     args = parser.parse_args()
     use_all_cores()
-    judged = Params.published(args.params)
+    judged = learning_nothing(Params.published(args.params))
     for rhythm in args.rhythms:
         met = scenario(Experiment.published("family-wam"), Scenarios(rhythms=(rhythm,)), args.seed)
         start = round(met.settle / met.sampling_time)
@@ -49,6 +50,13 @@ def main() -> None:
             was, left = _rms(error[scored]), _rms((error - told)[scored])
             each = "  ".join(f"{a:.1f} → {b:.1f} ({b / a:.2f})" for a, b in zip(1e3 * was, 1e3 * left, strict=True))
             print(f"{rhythm:<12}{stiffness:6g} N/m, X Y Z [mN]: {each}", flush=True)
+
+
+def learning_nothing(params: Params) -> Params:
+    """The same controller without what a family learns of the beat itself."""
+    if params.listening is None:
+        return params
+    return replace(params, listening=replace(params.listening, harmonics=0))
 
 
 def expected(error: np.ndarray, time: np.ndarray, onsets: np.ndarray, share: float) -> np.ndarray:

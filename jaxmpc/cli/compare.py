@@ -133,15 +133,17 @@ def _ratios(contenders: Sequence["Contender"], experiment: "Experiment") -> "np.
     """Residual over the least of any linear law that keeps the robot's demands, (contenders, stiffness, 3) [-]."""
     import numpy as np
 
-    from jaxmpc.limit.comparison import cells, left_by
+    from jaxmpc.limit.comparison import cells, flown_by, left_by
     from jaxmpc.limit.least import LINES
     from jaxmpc.spectra.spectrum import spectrum_of
 
     _progress("looking for the least residual of any linear law …")
     least = list(cells(experiment))
     spectrum, path = spectrum_of(experiment, LINES), experiment.loop_path()
-    found = [
-        [left_by(one.params, spectrum, path, cell.stiffness, cell.axis).rms / cell.limit.reached.rms for cell in least]
-        for one in contenders
-    ]
+    limit = np.array([cell.limit.reached.rms for cell in least])
+    found = []
+    for one in contenders:
+        flown = flown_by(one.params, experiment)
+        left = [left_by(one.params, spectrum, path, cell.stiffness, cell.axis).rms for cell in least]
+        found.append((np.array(left) if flown is None else flown.ravel()) / limit)
     return np.array(found).reshape(len(contenders), len(experiment.stiffness), 3)

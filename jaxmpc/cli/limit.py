@@ -65,8 +65,14 @@ def run(args: argparse.Namespace) -> int:
         row.append(number(MILLI * flight.rms, 1))
     show("least residual, RMS in mN", (*PLACE, *HEADER, *(["flown"] if flights else [])), table, keys=2)
     if params is not None:
-        table = [[*_place(cell), *_entries(cell.yours), number(cell.ratio, 2)] for cell in found if cell.yours]
-        show(f"{args.params}, RMS in mN", (*PLACE, *HEADER, "× limit"), table, keys=2)
+        learns = [] if found[0].flown is None else ["flown"]
+        table = [
+            [*_place(cell), *_entries(cell.yours), *_flown(cell), number(cell.ratio, 2)] for cell in found if cell.yours
+        ]
+        title = f"{args.params}, RMS in mN" + (
+            ", but for the column flown with nothing learned of the beat" * len(learns)
+        )
+        show(title, (*PLACE, *HEADER, *learns, "× limit"), table, keys=2)
         print(told(found, demands))
     if args.output:
         text = json.dumps(_plain(experiment.name, demands, found, flights), indent=1) + "\n"
@@ -84,6 +90,12 @@ def _entries(of: "Judged") -> list[str]:
 
     residuals = (of.rms, of.motion, of.friction, of.noise, of.true_rms)
     return [*(number(MILLI * value, 1) for value in residuals), number(of.chatter, 2), number(of.M_s, 2)]
+
+
+def _flown(cell: "LimitCell") -> list[str]:
+    from jaxmpc.terminal.tables import number
+
+    return [] if cell.flown is None else [number(MILLI * cell.flown, 1)]
 
 
 def _flights(experiment: "Experiment", found: "list[LimitCell]") -> "list[Flown]":
@@ -115,6 +127,8 @@ def _plain(name: str, demands: "Demands", found: "list[LimitCell]", flights: "li
             place["flown"] = _all(flights[index])
         if cell.yours is not None:
             place |= {"yours": _all(cell.yours), "ratio": _numbers(cell.ratio)}
+        if cell.flown is not None:
+            place["yours_flown"] = _numbers(cell.flown)
         places.append(place | {"law": law})
     return {"experiment": name, "demands": _all(demands), "cells": places}
 

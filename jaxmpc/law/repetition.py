@@ -3,11 +3,12 @@ r"""What every beat of the heart repeats is learned, and taken out before it com
 With e the error of the force on one axis behind two low-passes, u = e^{jφ} the phase of the beat (`pulse`) and its
 harmonics n = 1…N (after Bodson and Douglas, Automatica 33, 1997),
 
-    c_n ← c_n − g_n ω e₁ (uⁿ)*,   r = h Re Σ c_n wⁿ,   w = u e^{jωd}
+    c_n ← c_n − g_n h_n ω e₁ (uⁿ)*,   r = h Re Σ h_n c_n wⁿ,   w = u e^{jωd}
 
-and r is added to the wanted force. The lead d is what low-passes and loop take to answer, so that in e, when the beat
-has come to where r was meant for, h Re Σ c_n uⁿ of it is seen. Hence what the error would be with nothing of what is
-learned, e₀ = e − h Re Σ c_n uⁿ, and with all of it, e₁ = e₀ + Re Σ c_n uⁿ; and h is what it earns:
+and r is added to the wanted force; h_n fades harmonics that are too fast. The lead d is what low-passes and loop take
+to answer, so that in e, when the beat has come to where r was meant for, h ρ of it is seen, ρ = Re Σ h_n c_n uⁿ. Hence
+what the error would be with nothing of what is learned, e₀ = e − h ρ, and with all of it, e₁ = e₀ + ρ; and h is what
+it earns:
 
     h = clip(a (1 − ⟨e₁²⟩/⟨e₀²⟩), 0, 1)
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmpc.evaluation import evaluate
 from jaxmpc.experiment import Experiment
 from jaxmpc.limit.judged import Judged, judged
 from jaxmpc.limit.least import LINES, ROBOT, Demands, Limit, least
@@ -29,12 +30,16 @@ class LimitCell(NamedTuple):
     axis: str
     limit: Limit
     yours: Judged | None
-    """What a controller leaves there."""
+    """What a controller leaves there, from spectra, with nothing learned of the beat."""
+    flown: float | None = None
+    """What one leaves that learns the beat, flown on the experiment [N]; None of one that does not."""
 
     @property
     def ratio(self) -> float:
-        """The controller's residual over the least [-]; NaN without one."""
-        return float("nan") if self.yours is None else self.yours.rms / self.limit.reached.rms
+        """The controller's residual over the least [-], flown where it learns; NaN without one."""
+        if self.yours is None:
+            return float("nan")
+        return (self.yours.rms if self.flown is None else self.flown) / self.limit.reached.rms
 
 
 def cells(experiment: Experiment, demands: Demands = ROBOT, params: Params | None = None) -> Iterator[LimitCell]:
@@ -44,10 +49,19 @@ def cells(experiment: Experiment, demands: Demands = ROBOT, params: Params | Non
         InputError: The demands make no sense, no law of the class keeps them, or the solver is not installed.
     """
     spectrum, path = spectrum_of(experiment, LINES), experiment.loop_path()
-    for stiffness in experiment.stiffness:
-        for axis in AXES:
+    flown = None if params is None else flown_by(params, experiment)
+    for i, stiffness in enumerate(experiment.stiffness):
+        for k, axis in enumerate(AXES):
             yours = None if params is None else left_by(params, spectrum, path, stiffness, axis, demands.band)
-            yield LimitCell(stiffness, axis, least(spectrum, path, stiffness, axis, demands), yours)
+            own = None if flown is None else float(flown[i, k])
+            yield LimitCell(stiffness, axis, least(spectrum, path, stiffness, axis, demands), yours, own)
+
+
+def flown_by(params: Params, experiment: Experiment) -> np.ndarray | None:
+    """Residual of a controller that learns the beat, which no spectrum tells, (stiffness, 3) [N]; None of others."""
+    if params.listening is None or not params.listening.harmonics or experiment.physics == "linear":
+        return None
+    return np.asarray(evaluate(params, experiment).metrics.rms)
 
 
 def told(found: Sequence[LimitCell], demands: Demands = ROBOT) -> str:

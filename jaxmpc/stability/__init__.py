@@ -116,10 +116,15 @@ def margins_one(
 
 
 def worst_of(margins: Margins) -> Margins:
-    """Over the last dimension; what is not a number stays so."""
-    largest = {name: jnp.max(getattr(margins, name), axis=-1) for name in ("M_s", "spectral_radius", "status")}
+    """Over the last dimension, beats as `held_beat.at_rates` has them; what is not a number stays so.
+
+    The spectral radius is that of the loop that learns nothing, unless one that learns is unstable: a harmonic that is
+    hardly learned has a pole as near to 1 as one likes, and says nothing of the loop.
+    """
+    largest = {name: jnp.max(getattr(margins, name), axis=-1) for name in ("M_s", "status")}
+    radius, at_most = margins.spectral_radius[..., 0], jnp.max(margins.spectral_radius, axis=-1)
     least: Margins = jax.tree.map(lambda leaf: jnp.min(leaf, axis=-1), margins)
-    return least._replace(**largest)
+    return least._replace(**largest, spectral_radius=jnp.where(at_most < 1.0, radius, at_most))
 
 
 def _cuts(ideal: bool) -> Array:

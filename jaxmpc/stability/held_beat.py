@@ -9,7 +9,8 @@ with the share h_n of each harmonic, so that r = −R e behind the two low-passe
 
     R = Σ h_n k_n (cos nωd − q cos nω(d − T_s))/(1 − 2 q cos nωT_s + q²)
 
-Rates that move are no matter of margins but of trials.
+With a part of it in use, h < 1, the resonators are damped and M_s is no larger. Rates that move are no matter of
+margins but of trials.
 """
 
 from typing import Any, NamedTuple

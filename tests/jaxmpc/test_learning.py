@@ -203,6 +203,35 @@ def test_margins_that_learn_are_the_worst_of_a_dense_search() -> None:
         assert float(found.M_s[0, i]) == pytest.approx(max(peaks), rel=1e-3)
 
 
+@pytest.mark.parametrize("hertz", [0.7, 1.3, 2.3])
+def test_what_is_used_in_part_takes_no_margin_either(hertz: float) -> None:
+    """With a share h in use, c_n learns of e + (1 − h) times what it would add now: r = −h R/(1 + (1 − h) R₀) e.
+
+    R₀ has no lead, no low-pass and the sample's delay of what is seen. The loop's response is linear in R.
+    """
+    path = Experiment.published("family-wam").loop_path().with_cutoff(FAMILY.velocity_cutoff)
+    whole, rate = design(FAMILY).schedule.repetition, 2.0 * np.pi * hertz
+    theta = (np.arange(1.0, 4000.0) + 0.37) * 2.0 * np.pi * 1e-4  # no angle of a resonance
+    q = np.exp(-1j * theta)
+    R = np.asarray(held_beat.response(HeldBeat(whole, jnp.asarray(rate)), q))
+    turn = rate * T_s * np.arange(1, 9)[:, None]
+    shares = np.clip((whole.highest - turn / T_s) / repetition.FADING, 0.0, 1.0)
+    learned = np.asarray(whole.gains[0]) * rate * shares**2
+    R_0 = np.sum(learned * (q * np.cos(turn) - q**2) / (1.0 - 2.0 * q * np.cos(turn) + q**2), axis=0)
+    known = np.array([375.0, 810.0, 1900.0])
+    gains, K2 = held(design(FAMILY), FAMILY.K2, jnp.asarray(known))
+    for i, K_s in enumerate(known):
+        one, contact = jax.tree.map(lambda leaf, i=i: leaf[i], gains), contact_of(0.94 * K_s, K2[i], path)
+        without, with_it = (
+            np.asarray(loop_response(one, contact, theta, 0.0, held=beat))
+            for beat in (None, HeldBeat(whole, jnp.asarray(rate)))
+        )
+        by_R = (with_it - without) / R
+        for used in (0.25, 0.5, 0.75):
+            partly = without + by_R * used * R / (1.0 + (1.0 - used) * R_0)
+            assert np.max(1.0 / np.abs(1.0 + partly)) < 2.0
+
+
 def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
     """At 13 rates; `family_margins` takes 6."""
     path, (known, _) = Experiment.published("family-wam").loop_path(), judged_where(FAMILY.listening, 7)

@@ -14,10 +14,11 @@ from jaxmpc import Params, design
 from jaxmpc.cli import main
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
-from jaxmpc.limit.comparison import left_by
+from jaxmpc.limit.comparison import LimitCell, flown_by, left_by
 from jaxmpc.limit.flight import flown
+from jaxmpc.limit.judged import Judged
 from jaxmpc.limit.law import LinearLaw, response
-from jaxmpc.limit.least import LINES, Demands, least, limit_of
+from jaxmpc.limit.least import LINES, Demands, Limit, least, limit_of
 from jaxmpc.limit.plant import plant_of
 from jaxmpc.limit.youla import law_of, signals, stabiliser
 from jaxmpc.spectra.effort import acceleration_responses
@@ -254,3 +255,13 @@ def test_without_the_extra_it_says_how_to_get_it(
     monkeypatch.setitem(sys.modules, "clarabel", None)
     assert main(["limit", str(short(tmp_path))]) == 2
     assert "pip install 'jaxmpc[limit]'" in capsys.readouterr().err
+
+
+def test_what_learns_the_beat_is_told_as_flown() -> None:
+    judged = Judged(0.030, 0.01, 0.02, 0.01, 0.028, 1.1, 1.9)
+    law = LinearLaw(np.zeros((1, 1)), np.zeros(1), np.zeros(1), 0.0)
+    cell = LimitCell(810.0, "x", Limit(judged._replace(rms=0.020), law), judged)
+    assert cell.ratio == pytest.approx(1.5)
+    assert cell._replace(flown=0.024).ratio == pytest.approx(1.2)
+    assert np.isnan(cell._replace(yours=None).ratio)
+    assert flown_by(Params.published("cautious"), Experiment.published("table-1-wam")) is None

@@ -11,7 +11,7 @@ MILLI = 1e3
 
 
 def limit_section(result: TuneResult) -> Section:
-    """Residual over limit on each tissue and axis of the job's experiment, both from spectra.
+    """Residual over limit on each tissue and axis of the job's experiment, both from spectra; flown where it learns.
 
     Raises:
         InputError: The solver is not installed, or no linear law keeps the goals.
@@ -23,7 +23,8 @@ def limit_section(result: TuneResult) -> Section:
     for cell in found:
         least, yours = cell.limit.reached, cell.yours
         parts = (least.rms, least.motion, least.friction, least.noise, least.true_rms)
-        numbers = [f"{MILLI * value:.1f}" for value in (*parts, yours.rms if yours else math.nan)]
+        left = cell.flown if cell.flown is not None else yours.rms if yours else math.nan
+        numbers = [f"{MILLI * value:.1f}" for value in (*parts, left)]
         lines.append([f"{cell.stiffness:g} {cell.axis.upper()}", *numbers, f"{cell.ratio:.2f}"])
     head = ("K_s [N/m], axis", "least", "motion", "friction", "noise", "true", "yours", "× limit")
     words = (
