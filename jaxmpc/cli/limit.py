@@ -65,14 +65,13 @@ def run(args: argparse.Namespace) -> int:
         row.append(number(MILLI * flight.rms, 1))
     show("least residual, RMS in mN", (*PLACE, *HEADER, *(["flown"] if flights else [])), table, keys=2)
     if params is not None:
-        learns = [] if found[0].flown is None else ["flown"]
         table = [
             [*_place(cell), *_entries(cell.yours), *_flown(cell), number(cell.ratio, 2)] for cell in found if cell.yours
         ]
-        title = f"{args.params}, RMS in mN" + (
-            ", but for the column flown with nothing learned of the beat" * len(learns)
-        )
-        show(title, (*PLACE, *HEADER, *learns, "× limit"), table, keys=2)
+        learns = found[0].flown is not None
+        besides = ", but for the column flown with nothing learned of the beat" if learns else ""
+        header = (*PLACE, *HEADER, *(["flown"] if learns else []), "× limit")
+        show(f"{args.params}, RMS in mN{besides}", header, table, keys=2)
         print(told(found, demands))
     if args.output:
         text = json.dumps(_plain(experiment.name, demands, found, flights), indent=1) + "\n"

@@ -10,7 +10,7 @@ to answer, so that in e, when the beat has come to where r was meant for, h ρ o
 what the error would be with nothing of what is learned, e₀ = e − h ρ, and with all of it, e₁ = e₀ + ρ; and h is what
 it earns:
 
-    h = clip(a (1 − ⟨e₁²⟩/⟨e₀²⟩), 0, 1)
+    h = clip(a (1 − ⟨e₁²⟩/⟨e₀²⟩), 0, 1),   and less where the error is too large for a beat like those before
 
 At a rate that stays, each harmonic is a resonator: what repeats is gone in a few beats. Of what does not repeat, as
 where atria fibrillate, h leaves nothing learned. The low-passes keep the resonators' skirts from where the loop has its
@@ -27,6 +27,9 @@ from jaxmpc.law.scalar import Constant, Scalar
 
 LOUDEST = 0.1
 """Largest error from which one sample learns [N]: an early beat teaches little of the next."""
+UNUSUAL = 0.3
+"""Error from which on what is learned is used less, and from twice of which on not at all [N]: an early beat is unlike
+those before. With all of it in use such a beat could end in a third more force."""
 LARGEST = 1.0
 """Largest force that is added [N]."""
 PROVEN = 2.0
@@ -135,7 +138,8 @@ def step(
             constants.gains, beat.shares, learned.parts, beat.now, strict=True
         )
     )
-    used = authority * ops.clip(PROVEN * (1.0 - of_whole / (of_without + UNHEARD)), 0.0, 1.0)
+    usual = ops.clip(2.0 - abs(error) / UNUSUAL, 0.0, 1.0)
+    used = authority * usual * ops.clip(PROVEN * (1.0 - of_whole / (of_without + UNHEARD)), 0.0, 1.0)
     added = used * ops.clip(_sum(beat.shares, parts, beat.ahead), -LARGEST, LARGEST)
     return Learned((once, twice), parts, (of_whole, of_without), used), added
 

@@ -15,7 +15,7 @@ BREATHING = 0.5
 """Below which the tip's displacement is not taken for the heart's [Hz]; breathing is at 0.35."""
 CYCLES, FOLLOWING, PULLING = 1.0, 1.0, 1.0
 """Memory of the resonator [cycles], how fast the rate follows, over that [-], and the phase [1/s]. A rate that goes
-from 60 to 110 beats a minute in 3 s is followed in 2 s."""
+from 60 to 110 beats a minute in 3 s is followed to 5 % within 3 s after."""
 HIGHEST = 14.0
 """Highest frequency of a harmonic that is learned [Hz]: the fifth at the fastest rate. The sine that finds the
 stiffness is at 17."""

@@ -121,15 +121,32 @@ def test_at_a_rate_that_stays_the_law_is_its_linear_model() -> None:
     rate, random = 2.0 * np.pi * 1.7, np.random.Generator(np.random.Philox(6))
     model, state = resonators(rate)
     learned = repetition.nothing(LEARNING, 0.0)
-    step = jax.jit(held_beat.step)
+    step, compared = jax.jit(held_beat.step), 0
     for k in range(2000):
         error = 1e-3 * random.standard_normal()
         whole = learned._replace(used=1.0)
         learned, added = repetition.step(LEARNING, whole, steady_beat(rate, k), error, 1.0, FLOATS)
         state, expected = step(model, state, error)
         if learned.used > 0.0:
+            compared += 1
             assert added / learned.used == pytest.approx(float(expected), abs=1e-15)  # of 1e-5
+    assert compared > 100
     assert np.abs(float(expected)) > 1e-6
+
+
+def test_what_was_learned_is_not_used_against_an_error_of_another_size() -> None:
+    """Full use up to 0.3 N, none from 0.6 N on."""
+    rate, learned = 2.0 * np.pi * 1.265, repetition.nothing(LEARNING, 0.0)
+    for k in range(5000):
+        beat = steady_beat(rate, k)
+        seen = sum(part[0] * u[0] - part[1] * u[1] for part, u in zip(learned.parts, beat.now, strict=True))
+        error = 0.03 * np.cos(rate * T_s * k) + learned.used * seen
+        learned, _ = repetition.step(LEARNING, learned, beat, error, 1.0, FLOATS)
+    assert learned.used == 1.0
+    for error, used in ((0.3, 1.0), (0.45, 0.5), (-0.6, 0.0), (2.0, 0.0)):
+        now, added = repetition.step(LEARNING, learned, steady_beat(rate, 5000), error, 1.0, FLOATS)
+        assert now.used == pytest.approx(used, abs=1e-6)
+        assert abs(added) <= 0.05 * used
 
 
 @pytest.mark.parametrize("hertz", [0.6, 1.265, 2.6])
@@ -194,13 +211,23 @@ def test_margins_that_learn_are_the_worst_of_a_dense_search() -> None:
     for i, ratio in enumerate(ratios):
         contact = contact_of(known[0] * ratio, K2[0], path.with_cutoff(FAMILY.velocity_cutoff))
         theta = jnp.asarray(np.union1d(np.arange(1, 5000) * 2.0 * np.pi * 1e-4, np.asarray(search_angles())))
-        peaks = []
+        peaks, lags = [], []
         for rate in [None, *np.geomspace(learning.finder.least, learning.finder.most, RATES)]:
             beat = None if rate is None else HeldBeat(learning, jnp.asarray(rate))
             answers = [loop_response(one, contact, theta, cut, held=beat) for cut in (0.0, 1.0)]
             peaks.append(max(float(jnp.max(1.0 / jnp.abs(1.0 + L))) for L in answers))
+            lags += [smallest_lag(np.asarray(L)) for L in answers]
             assert np.max(np.abs(np.linalg.eigvals(np.asarray(closed_loop_matrix(one, contact, beat))))) < 1.0
         assert float(found.M_s[0, i]) == pytest.approx(max(peaks), rel=1e-3)
+        assert float(found.phase_margin_deg[0, i]) == pytest.approx(min(lags), abs=0.05)
+
+
+def smallest_lag(L: np.ndarray) -> float:
+    """Over all crossings of the unit circle; between neighbours angle and logarithm count as straight [deg]."""
+    size = np.log(np.abs(L))
+    at = np.flatnonzero(size[:-1] * size[1:] < 0.0)
+    angle = np.angle(L[at]) + size[at] / (size[at] - size[at + 1]) * np.angle(L[at + 1] / L[at])
+    return float(np.degrees(np.min(np.mod(angle + np.pi, 2.0 * np.pi))))
 
 
 @pytest.mark.parametrize("hertz", [0.7, 1.3, 2.3])
