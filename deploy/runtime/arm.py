@@ -9,24 +9,19 @@ which Python's own arithmetic would raise.
 """
 
 import math
-from collections.abc import Callable
+from operator import itemgetter
 from typing import Any
 
-from deploy.runtime import force_lag
-from deploy.runtime.arm_law import ArmLaw
+from deploy.runtime.arm_law import ArmLaw, memory_of
+from deploy.runtime.flat import flat, places
+from deploy.runtime.force_lag import lag
 from deploy.runtime.straightline import compile_straightline
-from jaxmpc.law import force_control, identification
-from jaxmpc.law.cascade import AxisState
+from jaxmpc.law import force_control
 from jaxmpc.law.force_control import Controller
-from jaxmpc.law.gain_backoff import BackoffState
-from jaxmpc.law.stiffness import StiffnessEstimate, StiffnessIdentification
 from jaxmpc.law.vectors import Vector3, Vector4
 
 _FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)
 _THREE: Vector3 = (0.0, 0.0, 0.0)
-_P_HAT, _U, _TISSUE = map(AxisState._fields.index, ("p_hat", "u", "tissue"))
-_BELIEVED, _AUTHORITY = map(StiffnessEstimate._fields.index, ("log_stiffness", "authority"))
-_MEMORY = BackoffState._fields.index("memory")
 
 
 class ArmRuntime:
@@ -56,15 +51,16 @@ class ArmRuntime:
         law = ArmLaw(controller, preview)
         self._controller, self._compensated = controller, compensated
         self.start(controller.posture)
+        self._read(places(law.resting))
         ahead = ((0.0,) * len(controller.gains.mpc_ref),) * 3 if preview else _THREE
-        memory = self._axes, self._bristles, self._guard, self._momentum, self._heart
-        seen = _FOUR, _FOUR
-        control = compile_straightline(law.control, (*memory, _THREE, _FOUR, *seen, _THREE, ahead))
+        memory, seen = self._memory, (_FOUR, _FOUR)
+        control = compile_straightline(law.control, (memory, self._bristles, _THREE, _FOUR, *seen, _THREE, ahead))
         self.operations = control.operations
         self._control = control.function
         self._measure = compile_straightline(law.measure, (self._measured, _FOUR)).function
-        self._predict = compile_straightline(law.predict, (self._axes, self._guard)).function
-        self._told = compile_straightline(law.told, (_THREE, _FOUR, law.lower, law.response, _FOUR)).function
+        self._predict = compile_straightline(law.predict, (memory,)).function
+        self._dither = compile_straightline(law.dither, (memory,)).function
+        self._told = compile_straightline(law.told, (_THREE, _FOUR, flat(law.lower_and_response), _FOUR)).function
         self._servo = compile_straightline(law.servo, (self._bristles, *seen, _THREE, _THREE)).function
         self._enter = compile_straightline(law.enter, (self._measured, _THREE, _THREE)).function
         self.gravity = compile_straightline(law.gravity, (_FOUR,)).function
@@ -73,28 +69,35 @@ class ArmRuntime:
     def start(self, q: Vector4) -> None:
         """Forget everything; at rest at measured joint angles [rad], without contact."""
         angles = tuple(map(float, q))  # numbers of numpy would stay and make every sample slower
-        self._hold(*force_control.init(self._controller, angles, _THREE, self._compensated))
+        state = force_control.init(self._controller, angles, _THREE, self._compensated)
+        self._measured, self._bristles, self._memory = state.measured, state.bristles, flat(memory_of(state))
         self._applied = self.last_v = self.last_a = self.last_force = _THREE
         self._change = self.last_torque = _FOUR
         self._found: Any = None
 
-    def _hold(self, measured: Any, axes: Any, bristles: Any, guard: Any, momentum: Any, heart: Any) -> None:
-        """Keep the parts of a `ControllerState`, each of which changes where the others rest."""
-        self._measured, self._axes, self._bristles, self._guard = measured, axes, bristles, guard
-        self._momentum, self._heart = momentum, heart
+    def _read(self, where: Any) -> None:
+        """How parts of the memory are read out of it, each at its places there."""
+        tissues = [axis.tissue for axis in where.axes if axis.tissue is not None]
+
+        def of_each(parts: Any, name: str) -> Any:
+            return itemgetter(*(getattr(part, name) for part in parts)) if parts else lambda memory: _THREE
+
+        self._p_hat, self._u = of_each(where.axes, "p_hat"), of_each(where.axes, "u")
+        self._believed, self._authority = of_each(tissues, "log_stiffness"), of_each(tissues, "authority")
+        self._sines = [itemgetter(*flat((t.listening, t.heard, t.force[-1], t.tip[-1]))) for t in tissues]
+        self._backed_off = None if where.guard is None else slice(where.guard.memory[0], where.guard.memory[-1] + 1)
 
     def velocity(self, q: Vector4) -> Vector4:
         """Filtered joint velocities [rad/s] from measured angles [rad]; once a sample."""
         self._measured = self._measure(self._measured, q)
-        return self._measured[1]  # type: ignore[no-any-return]  # a cast would cost time in the loop
+        return self._measured[1]
 
     def enter(self, force: Vector3, q: Vector4) -> None:
         """Contact is made: observers at the measured force [N] and angles [rad], full gain, and bumpless.
 
         While the wanted force is the measured one, `control` begins with the same a that was asked for so far.
         """
-        entered = self._enter((q, self._measured[1]), force, self.last_a)
-        self._axes, self._guard, self._momentum, self._heart, self._applied = entered
+        self._memory, self._applied = self._enter((q, self._measured[1]), force, self.last_a)
         self.last_v, self._change = self._applied, _FOUR
 
     def control(self, q: Vector4, qd: Vector4, force: Vector3 | None, force_ref: Any) -> Vector4:
@@ -110,30 +113,19 @@ class ArmRuntime:
             Joint torques before any limit [N m]; tell `applied` what the limits let pass.
         """
         if force is None:
-            force = self._predict(self._axes, self._guard)
+            force = self._predict(self._memory)
         self.last_force = force
-        memory, v, self.last_a, self.last_torque, self._found = self._control(
-            self._axes,
-            self._bristles,
-            self._guard,
-            self._momentum,
-            self._heart,
-            self._applied,
-            self._change,
-            q,
-            qd,
-            force,
-            force_ref,
+        self._memory, self._bristles, self.last_v, self.last_a, self.last_torque, self._found = self._control(
+            self._memory, self._bristles, self._applied, self._change, q, qd, force, force_ref
         )
-        self._axes, self._bristles, self._guard, self._momentum, self._heart = memory
-        self.last_v = self._applied = v
+        self._applied = self.last_v
         self._change = _FOUR
         return self.last_torque
 
     def applied(self, torque: Vector4) -> None:
         """Tell the observers which joint torques [N m] the limits let pass since the last `control`."""
         if torque != self.last_torque:  # else it would find v again
-            self._applied, self._change = self._told(self.last_v, self.last_torque, *self._found, torque)
+            self._applied, self._change = self._told(self.last_v, self.last_torque, self._found, torque)
 
     def servo(self, q: Vector4, qd: Vector4, acceleration: Vector3, force: Vector3) -> Vector4:
         """Joint torques [N m] for an acceleration of the tip [m/s²] under a measured force [N]; the cascades rest."""
@@ -144,52 +136,44 @@ class ArmRuntime:
     @property
     def prediction(self) -> Vector3:
         """Force that is expected to be measured next [N]."""
-        return self._predict(self._axes, self._guard)  # type: ignore[no-any-return]  # a cast would cost time in the loop
+        return self._predict(self._memory)  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
     def p_hat(self) -> Vector3:
         """Active states: estimated disturbances [m/s²]."""
-        x, y, z = self._axes
-        return x[_P_HAT], y[_P_HAT], z[_P_HAT]
+        return self._p_hat(self._memory)  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
     def u(self) -> Vector3:
         """Outputs of the MPC [N]."""
-        x, y, z = self._axes
-        return x[_U], y[_U], z[_U]
+        return self._u(self._memory)  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
     def stiffness(self) -> Vector3:
         """K̂, what the tissue's stiffness is believed to be along each axis [N/m]; 0 without a schedule."""
-        return self._known(lambda tissue: math.exp(tissue[_BELIEVED]))
+        if not self._sines:
+            return _THREE
+        x, y, z = map(math.exp, self._believed(self._memory))
+        return x, y, z
 
     @property
     def authority(self) -> Vector3:
         """Share of the control that the schedule has [-]; 0 without one."""
-        return self._known(lambda tissue: tissue[_AUTHORITY])
+        return self._authority(self._memory)  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
     def dither(self) -> Vector3:
         """Sine that was added to the wanted force [N]; 0 without a schedule."""
-        return self._told_by_sine(identification.dither)
+        return self._dither(self._memory)  # type: ignore[no-any-return]  # a cast would cost time in the loop
 
     @property
     def lag(self) -> Vector3:
         """By how long the measured force comes after the displacement [s]; 0 where no sine tells it."""
-        return self._told_by_sine(force_lag.lag)
-
-    def _told_by_sine(self, number: Callable[[StiffnessIdentification, StiffnessEstimate], float]) -> Vector3:
-        """A number of each axis' identification."""
         schedule = self._controller.gains.schedule
         if schedule is None:
             return _THREE
-        constants = schedule.identification
-        return self._known(lambda tissue: number(constants, StiffnessEstimate(*tissue)))
-
-    def _known(self, number: Callable[[Any], float]) -> Vector3:
-        """A number of each axis' estimate of its tissue."""
-        x, y, z = (axis[_TISSUE] for axis in self._axes)
-        return _THREE if x is None else (number(x), number(y), number(z))
+        x, y, z = (lag(schedule.identification, *sine(self._memory)) for sine in self._sines)
+        return x, y, z
 
     @property
     def gain(self) -> float:
@@ -199,10 +183,11 @@ class ArmRuntime:
     @property
     def memory(self) -> Vector3:
         """That share, its ceiling, and where it was lately [-]; ones without a guard."""
-        return self._guard[_MEMORY] if self._guard else (1.0, 1.0, 1.0)
+        return (1.0, 1.0, 1.0) if self._backed_off is None else self._memory[self._backed_off]
 
     @memory.setter
     def memory(self, memory: Vector3) -> None:
         """Only for a replay that does not know how it came about; nothing changes without a guard."""
-        if self._guard:
-            self._guard = (*self._guard[:_MEMORY], memory, *self._guard[_MEMORY + 1 :])
+        if self._backed_off is not None:
+            before, after = self._memory[: self._backed_off.start], self._memory[self._backed_off.stop :]
+            self._memory = (*before, *memory, *after)

@@ -1,9 +1,10 @@
 """What of `jaxmpc.law` is recorded for an arm: a function for each part of its tick."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
+from deploy.runtime.flat import flat, nested
 from deploy.runtime.straightline import OPS
-from jaxmpc.law import chain, entry, force_control, measurement
+from jaxmpc.law import chain, entry, force_control, identification, measurement
 from jaxmpc.law.computed_torque import JointTorque
 from jaxmpc.law.force_control import Command, Controller, ControllerState
 from jaxmpc.law.measurement import MeasurementState
@@ -13,14 +14,29 @@ from jaxmpc.law.vectors import Vector4
 _FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)
 
 
+class Memory(NamedTuple):
+    """What of a `ControllerState` changes in contact alone; the functions take it and give it as `flat` numbers."""
+
+    axes: Any
+    guard: Any
+    momentum: Any
+    pulse: Any
+
+
+def memory_of(state: ControllerState) -> Memory:
+    """What of a state changes in contact alone."""
+    return Memory(state.axes, state.guard, state.momentum, state.pulse)
+
+
 class ArmLaw:
     """The functions of the tick, closed over a controller's constants."""
 
-    lower = ((), (0.0,), (0.0,) * 2, (0.0,) * 3)
-    response = ((0.0,) * 4,) * 3
+    lower_and_response = ((), (0.0,), (0.0,) * 2, (0.0,) * 3), ((0.0,) * 4,) * 3
+    """How much of a `JointTorque` tells a torque from a command; `flat` in what the functions take and give."""
 
     def __init__(self, controller: Controller, preview: bool) -> None:
         self.controller, self.preview = controller, preview
+        self.resting = memory_of(force_control.init(controller, _FOUR, _FOUR[:3]))
 
     def measure(self, measured: Any, q: Any) -> Any:
         """Filtered velocities from the last ones and measured angles."""
@@ -28,11 +44,8 @@ class ArmLaw:
 
     def control(
         self,
-        axes: Any,
+        memory: Any,
         bristles: Any,
-        guard: Any,
-        momentum: Any,
-        heart: Any,
         applied: Any,
         change: Any,
         q: Any,
@@ -41,27 +54,45 @@ class ArmLaw:
         force_ref: Any,
     ) -> Any:
         """A sample of contact: what is remembered, commands, torques, and what tells a torque from a command."""
-        state = ControllerState(MeasurementState(q, qd), axes, bristles, guard, momentum, heart)
-        state = force_control.holding(state, applied, change)
+        state = force_control.holding(self._state(memory, bristles, q, qd), applied, change)
         wanted = force_ref if self.preview else tuple((axis,) for axis in force_ref)
         state, command = force_control.respond(self.controller, state, force, wanted, OPS)
         found = command.torque
-        return state[1:], command.v, command.a, found.torque, (found.lower, found.response)
+        return (
+            flat(memory_of(state)),
+            state.bristles,
+            command.v,
+            command.a,
+            found.torque,
+            flat((found.lower, found.response)),
+        )
 
-    def told(self, v: Any, wanted: Any, lower: Any, response: Any, torque: Any) -> Any:
+    def _state(self, memory: Any, bristles: Any = None, q: Any = _FOUR, qd: Any = _FOUR) -> ControllerState:
+        held: Memory = nested(self.resting, memory)
+        measured = MeasurementState(q, qd)
+        return ControllerState(measured, held.axes, bristles, held.guard, held.momentum, held.pulse)
+
+    def told(self, v: Any, wanted: Any, found: Any, torque: Any) -> Any:
         """Commands and their change, as torques that were really sent tell them."""
+        lower, response = nested(self.lower_and_response, found)
         return force_control.told(Command(JointTorque(wanted, lower, response), v, ()), torque)
 
-    def predict(self, axes: Any, guard: Any) -> Any:
+    def predict(self, memory: Any) -> Any:
         """Force that is expected to be measured next."""
-        state = ControllerState(MeasurementState(_FOUR, _FOUR), axes, None, guard)
-        return entry.expected_force(self.controller, state, OPS)
+        return entry.expected_force(self.controller, self._state(memory), OPS)
+
+    def dither(self, memory: Any) -> Any:
+        """Sine that was added to the wanted force; 0 without a schedule."""
+        schedule, tissues = self.controller.gains.schedule, [axis.tissue for axis in self._state(memory).axes]
+        if schedule is None:
+            return _FOUR[:3]
+        return tuple(identification.dither(schedule.identification, each) for each in tissues if each is not None)
 
     def enter(self, measured: Any, force: Any, a: Any) -> Any:
-        """Memory of the law where contact is made."""
+        """Memory of the law where contact is made, and its commands there."""
         resting = force_control.init(self.controller, _FOUR, force)
         state = entry.enter(self.controller, resting._replace(measured=measured), force, a, OPS)
-        return state.axes, state.guard, state.momentum, state.pulse, tuple(axis.v for axis in state.axes)
+        return flat(memory_of(state)), tuple(axis.v for axis in state.axes)
 
     def servo(self, bristles: Any, q: Any, qd: Any, a: Any, force: Any) -> Any:
         """Friction's memory, and torques for an acceleration of the tip."""

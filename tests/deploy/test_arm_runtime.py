@@ -226,7 +226,7 @@ def test_the_guard_takes_the_gain_back_until_contact_is_made_anew():
     assert runtime.gain == 1.0
     first = swung()
     # The tissue is taken for one that is stiffer by 1/√g, on which an acceleration moves the force by that much more.
-    gains, (y, ydot, delayed) = artifact.gains, runtime._axes[0][0]
+    gains, (y, ydot, delayed) = artifact.gains, runtime._memory[:3]
     assert runtime.prediction[0] == pytest.approx(
         y + gains.phi[0] * ydot + gains.gamma[0] / math.sqrt(runtime.gain) * delayed, rel=1e-15
     )

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from deploy.runtime.force_lag import HEARD, lag
+from deploy.runtime import force_lag
+from deploy.runtime.force_lag import HEARD
 from deploy.safety.late_force import LATE, SAMPLES, late_step
 from deploy.safety.reasons import Reason
 from jaxmpc.law.identification import step
@@ -28,20 +29,24 @@ def heard(late: float, stiffness: float = 900.0, damping: float = 0.0, seconds: 
     return state
 
 
+def lag(state):
+    return force_lag.lag(CONSTANTS, state.listening, state.heard, *state.force[-1], *state.tip[-1])
+
+
 @pytest.mark.parametrize("late", [0.0, 1e-3, 5e-3, 20e-3])
 @pytest.mark.parametrize("stiffness", [300.0, 2200.0])
 def test_the_lag_is_that_of_the_force_whatever_the_stiffness(late, stiffness):
     # A low-pass of 0.05 a sample passes 0.23 of the double frequency, three of them 0.013, in Y and in X: 0.026 rad.
-    assert lag(CONSTANTS, heard(late, stiffness)) == pytest.approx(late, abs=0.026 / OMEGA)
+    assert lag(heard(late, stiffness)) == pytest.approx(late, abs=0.026 / OMEGA)
 
 
 def test_damping_leads():
-    assert lag(CONSTANTS, heard(0.0, damping=2.0)) < 0.0
+    assert lag(heard(0.0, damping=2.0)) < 0.0
 
 
 @pytest.mark.parametrize("changes", [{"listening": 0.4}, {"heard": HEARD - 0.01}])
 def test_nothing_is_told_before_it_was_heard(changes):
-    assert lag(CONSTANTS, heard(5e-3)._replace(**changes)) == 0.0
+    assert lag(heard(5e-3)._replace(**changes)) == 0.0
 
 
 def run(lags):
