@@ -125,25 +125,26 @@ def with_gain(gains: Gains, gain: Scalar) -> Gains:
 def backed_off(gains: Gains, gain: Scalar, ops: Ops) -> Gains:
     """The same controller with a share g of its gain, half of it taken by a slower loop.
 
-    `with_gain` alone leaves the closed loop of observer and state feedback as quick as it was: torques that the limits
-    hold would swing in that for ever. So √g goes into the model's gain, and with √g the poles of the state feedback
-    move towards zero: each gain on a derivative by √g less than the one below it. The active state integrates what the
-    loop has not yet made good; so that a slow loop does not swing slowly, its gain falls by √g more, that of its j-th
-    difference by √gʲ more.
+    `with_gain(gains, gain)` leaves the closed loop of observer and state feedback as quick as it was: torques that the
+    limits hold would swing in that for ever. So √g goes into the model's gain, and with √g the poles of the state
+    feedback move towards zero: each gain on a derivative by √g less than the one below it. The active state integrates
+    what the loop has not yet made good; so that a slow loop does not swing slowly, its gain falls by √g more, that of
+    its j-th difference by √gʲ more.
     """
     slow = ops.sqrt(gain)
-    scaled = with_gain(gains, slow)
-    K_1, K_2, K_3, *K_p = scaled.K
-    slower, factor = [], slow
+    inverse, cubed = 1.0 / slow, slow * gain
+    K_1, K_2, K_3, *K_p = (gains.K[i] for i in range(len(gains.K)))
+    slower, factor = [], cubed
     for each in K_p:
-        slower.append(factor * slow * each)
+        slower.append(factor * each)
         factor = factor * slow
-    return scaled._replace(
-        K_earlier=None if scaled.K_earlier is None else slow * scaled.K_earlier,
-        K=(K_1, K_2, slow * K_3, *slower),
-        L=(gain * scaled.L[0], slow * scaled.L[1], slow * scaled.L[2]),
-        input_gain=gain * scaled.input_gain,
-        mpc_x=(scaled.mpc_x[0], scaled.mpc_x[1] / slow),
+    return gains._replace(
+        K_earlier=None if gains.K_earlier is None else gain * gains.K_earlier,
+        gamma=tuple(inverse * each for each in gains.gamma),
+        K=(K_1, K_2, gain * K_3, *slower),
+        L=(cubed * gains.L[0], gain * gains.L[1], slow * gains.L[2]),
+        input_gain=cubed * gains.input_gain,
+        mpc_x=(gains.mpc_x[0], inverse * gains.mpc_x[1]),
     )
 
 

@@ -71,16 +71,16 @@ class Learned(NamedTuple):
 
 
 class Beat(NamedTuple):
-    """The heart's beat at one sample, for all axes."""
+    """The heart's beat at one sample, for all axes: harmonics, each to the share to which it is learned and used."""
 
     rate: Scalar
     """ω [rad/s]."""
     now: Sequence[Pair]
-    """uⁿ"""
+    """h_n uⁿ"""
     ahead: Sequence[Pair]
-    """wⁿ"""
-    shares: Sequence[Scalar]
-    """How far each harmonic is learned and used [-]."""
+    """h_n wⁿ"""
+    teaching: Sequence[Pair]
+    """g_n h_n ω uⁿ"""
 
 
 def nothing(constants: Repetition, like: Scalar) -> Learned:
@@ -96,7 +96,9 @@ def beat_of(constants: Repetition, known: Pulse, heard: Scalar, ops: Ops) -> Bea
     lead_cosine, lead_sine = ops.cos(angle), ops.sin(angle)
     ahead = cosine * lead_cosine - sine * lead_sine, sine * lead_cosine + cosine * lead_sine
     shares = [heard * share(constants, (n + 1.0) * known.rate, ops) for n in range(count)]
-    return Beat(known.rate, _powers(known.phase, count), _powers(ahead, count), shares)
+    now = _scaled(shares, _powers(known.phase, count))
+    teaching = _scaled([gain * known.rate for gain in constants.gains], now)
+    return Beat(known.rate, now, _scaled(shares, _powers(ahead, count)), teaching)
 
 
 def share(constants: Repetition, frequency: Scalar, ops: Ops) -> Scalar:
@@ -123,7 +125,7 @@ def step(
     once, twice = learned.error
     once = once + constants.smoothing * (error - once)
     twice = twice + constants.smoothing * (once - twice)
-    seen = _sum(beat.shares, learned.parts, beat.now)
+    seen = _sum(learned.parts, beat.now)
     without = twice - learned.used * seen
     whole = without + seen
     (of_whole, of_without), new = learned.power, constants.judging * beat.rate
@@ -131,25 +133,28 @@ def step(
         of_whole + new * (whole * whole - of_whole),
         of_without + new * (without * without - of_without),
     )
-    told = -authority * beat.rate * ops.clip(whole, -LOUDEST, LOUDEST)
+    told = authority * ops.clip(whole, -LOUDEST, LOUDEST)
     parts = tuple(
-        (real + gain * part * told * cosine, imaginary - gain * part * told * sine)
-        for gain, part, (real, imaginary), (cosine, sine) in zip(
-            constants.gains, beat.shares, learned.parts, beat.now, strict=True
-        )
+        (real - told * cosine, imaginary + told * sine)
+        for (real, imaginary), (cosine, sine) in zip(learned.parts, beat.teaching, strict=True)
     )
     usual = ops.clip(2.0 - abs(error) / UNUSUAL, 0.0, 1.0)
     used = authority * usual * ops.clip(PROVEN * (1.0 - of_whole / (of_without + UNHEARD)), 0.0, 1.0)
-    added = used * ops.clip(_sum(beat.shares, parts, beat.ahead), -LARGEST, LARGEST)
+    added = used * ops.clip(_sum(parts, beat.ahead), -LARGEST, LARGEST)
     return Learned((once, twice), parts, (of_whole, of_without), used), added
 
 
-def _sum(shares: Sequence[Scalar], parts: Sequence[Pair], turned: Sequence[Pair]) -> Scalar:
-    """Re Σ h_n c_n zⁿ [N]."""
+def _sum(parts: Sequence[Pair], turned: Sequence[Pair]) -> Scalar:
+    """Re Σ c_n zₙ [N]."""
     total: Scalar = 0.0
-    for part, (real, imaginary), (cosine, sine) in zip(shares, parts, turned, strict=True):
-        total = total + part * (real * cosine - imaginary * sine)
+    for (real, imaginary), (cosine, sine) in zip(parts, turned, strict=True):
+        total = total + real * cosine - imaginary * sine
     return total
+
+
+def _scaled(sizes: Sequence[Scalar], turned: Sequence[Pair]) -> list[Pair]:
+    """Each of some complex numbers times a real one."""
+    return [(size * cosine, size * sine) for size, (cosine, sine) in zip(sizes, turned, strict=True)]
 
 
 def _powers(phase: Pair, count: int) -> list[Pair]:
