@@ -176,9 +176,9 @@ def _repeated(
     if learning is None or known is None:
         return known, axes, ZERO
     known, heard = pulse.step(learning.finder, known, speed[-1], ops)
-    beat = repetition.beat_of(learning, known, heard, ops)
+    beat = repetition.beat_of(learning, known, ops)
     found = [
-        repetition.step(learning, axis.learned, beat, e, axis.tissue.authority, ops)
+        repetition.step(learning, axis.learned, beat, e, heard * axis.tissue.authority, ops)
         for axis, e in zip(axes, error, strict=True)
         if axis.learned is not None and axis.tissue is not None
     ]

@@ -77,7 +77,7 @@ def step(
         ops: Scalar functions.
     """
     state = _watch(constants, state, force, ops.maximum(state.strain, anywhere.strain), ops)
-    state, stiffness, lead = _listen(constants, state, force, tip, ops)
+    state, stiffness, lead = _listen(constants, state, force, tip, ops, anywhere.wave)
     error = force - answer(constants, state) - wanted
     state = state._replace(
         upset=state.upset + constants.T_s / UPSET_MEMORY * (error * error - state.upset),
@@ -87,10 +87,15 @@ def step(
 
 
 def _listen(
-    constants: StiffnessIdentification, state: StiffnessEstimate, force: Scalar, tip: Scalar, ops: Ops
+    constants: StiffnessIdentification,
+    state: StiffnessEstimate,
+    force: Scalar,
+    tip: Scalar,
+    ops: Ops,
+    shared: Pair | None = None,
 ) -> tuple[StiffnessEstimate, Scalar, Scalar]:
     """The lock-in: what it has heard, the stiffness that this tells [N/m], and by how much the force leads [-]."""
-    (cosine, sine), (turn_cosine, turn_sine) = state.wave, constants.turn
+    (cosine, sine), (turn_cosine, turn_sine) = shared or state.wave, constants.turn
     wave = turn_cosine * cosine - turn_sine * sine, turn_sine * cosine + turn_cosine * sine
     on = ops.clip(1e3 * state.listening, 0.0, 1.0)
     heard_force = _mixed(constants.mixing, state.force, on * (force - state.last[0]), wave)

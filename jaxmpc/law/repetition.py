@@ -90,12 +90,12 @@ def nothing(constants: Repetition, like: Scalar) -> Learned:
     return Learned(none, tuple(none for _ in range(len(constants.gains))), none, zero)
 
 
-def beat_of(constants: Repetition, known: Pulse, heard: Scalar, ops: Ops) -> Beat:
-    """The beat from what is known of it, and from how much of that is the heart [-]."""
+def beat_of(constants: Repetition, known: Pulse, ops: Ops) -> Beat:
+    """The beat from what is known of it."""
     count, (cosine, sine), angle = len(constants.gains), known.phase, known.rate * constants.lead
     lead_cosine, lead_sine = ops.cos(angle), ops.sin(angle)
     ahead = cosine * lead_cosine - sine * lead_sine, sine * lead_cosine + cosine * lead_sine
-    shares = [heard * share(constants, (n + 1.0) * known.rate, ops) for n in range(count)]
+    shares = [share(constants, (n + 1.0) * known.rate, ops) for n in range(count)]
     now = _scaled(shares, _powers(known.phase, count))
     teaching = _scaled([gain * known.rate for gain in constants.gains], now)
     return Beat(known.rate, now, _scaled(shares, _powers(ahead, count)), teaching)
@@ -116,7 +116,7 @@ def step(
         learned: What `nothing` or the last `step` returned.
         beat: Where the heart is in its beat.
         error: Measured less wanted force [N].
-        authority: Share of the control that the schedule has [-].
+        authority: Share of the control that the schedule has, times how surely the beat is the heart's [-].
         ops: Scalar functions.
 
     Returns:

@@ -78,11 +78,12 @@ def repetition_of(gains: Gains) -> Repetition | None:
 
 def alarm(axes: Iterable[AxisState], ops: Ops) -> Alarm:
     """The most of any axis; 0 without a schedule."""
-    most = SILENT
+    doubt, strain, wave = SILENT
     for axis in axes:
         if axis.tissue is not None:
-            most = Alarm(ops.maximum(most.doubt, axis.tissue.doubt), ops.maximum(most.strain, axis.tissue.strain))
-    return most
+            doubt, strain = ops.maximum(doubt, axis.tissue.doubt), ops.maximum(strain, axis.tissue.strain)
+            wave = wave or axis.tissue.wave
+    return Alarm(doubt, strain, wave)
 
 
 def now(gains: Gains, K2: Scalar, axis: AxisState, ops: Ops) -> tuple[Gains, Scalar]:

@@ -92,12 +92,15 @@ class StiffnessEstimate(NamedTuple):
 
 
 class Alarm(NamedTuple):
-    """What one axis tells the others."""
+    """What the axes tell each other."""
 
     doubt: Scalar
     """How surely the tissue has changed [-]."""
     strain: Scalar
     """Mean square of the force's error over a longer time [N²]."""
+    wave: Pair | None = None
+    """Cosine and sine of the angle φ, which is the same for all, so that it is turned once [-]; None where each has its
+    own."""
 
 
 SILENT = Alarm(0.0, 0.0)

@@ -54,12 +54,12 @@ class Listening:
     amplitude: float = 0.14
     frequency: float = 17.0
     lock_in: float = 0.4
-    averaging: float = 1.0
+    averaging: float = 0.7
     confidence: float = 4.0
     band: float = 0.06
     prediction: float = 0.0035
     watching: float = 1.0
-    harmonics: int = 8
+    harmonics: int = 7
     beats: float = 2.5
 
     def __post_init__(self) -> None:

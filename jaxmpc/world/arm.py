@@ -48,7 +48,8 @@ def chain() -> Chain:
                 _matrix(outer.T @ turned @ inner),
                 float(mass),
                 _vector(moment),
-                _matrix(inertia),
+                # Halves that differ by 1e-17 would each be computed with.
+                _matrix(0.5 * (inertia + inertia.T)),
             )
         )
         outer, base = inner, anchor

@@ -80,7 +80,7 @@ def test_a_tip_that_rests_is_no_heart() -> None:
 def steady_beat(rate: float, sample: int) -> repetition.Beat:
     angle = rate * T_s * sample
     known = pulse.Pulse(rate, (np.cos(angle), np.sin(angle)), (0.0, 0.0), (0.0, 0.0))
-    return repetition.beat_of(LEARNING, known, 1.0, FLOATS)
+    return repetition.beat_of(LEARNING, known, FLOATS)
 
 
 def test_all_of_an_error_that_repeats_is_taken_away_and_earns_its_use() -> None:
