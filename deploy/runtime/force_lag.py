@@ -12,7 +12,7 @@ import math
 
 from jaxmpc.law.stiffness import StiffnessIdentification
 
-HEARD = 0.6
+HEARD = 0.73
 """Share of the lock-in's memory that must be filled before anything is told [-]: 1.2 s of the sine."""
 
 
