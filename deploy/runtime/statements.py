@@ -1,8 +1,8 @@
 """Python text of recorded operations.
 
 What Python takes for such a function is less its arithmetic than its names: the number behind each is allocated, stored
-and kept to the end. So what is used once stands where it is used, and a name is free again after its last use: half of
-the time.
+and kept to the end. So what is used once stands where it is used, and a name is free again after its last use, an
+input's and an argument's too: half of the time.
 """
 
 from collections import Counter
@@ -22,27 +22,27 @@ class _Formula(NamedTuple):
     depth: int
 
 
-def statements(results: Iterable[Operand], output: Any) -> list[str]:
+def statements(results: Iterable[Operand], output: Any, free: Iterable[str] = ()) -> list[str]:
     """Assignments and the return of a function.
 
     Args:
         results: Of all operations that are needed, each after its arguments.
         output: Nested operands and constants.
+        free: Names that are free from the beginning.
     """
     results = list(results)
     uses = Counter(each.name for result in results for each in result.arguments if isinstance(each, Operand))
     kept = _operands(output)
     names: dict[str, str] = {}
     unnamed: dict[str, _Formula] = {}
-    free: list[str] = []
-    lines = []
+    free, lines = list(free), []
     for result in results:
         formula = _formula(result, names, unnamed)
         if uses[result.name] == 1 and result.name not in kept and formula.depth < DEEPEST:
             unnamed[result.name] = formula
             continue
         uses.subtract(formula.reads)
-        free += [names[each] for each in sorted(set(formula.reads) - kept) if not uses[each]]
+        free += [names.get(each, each) for each in sorted(set(formula.reads) - kept) if not uses[each]]
         names[result.name] = free.pop() if free else result.name
         lines.append(f"{names[result.name]} = {formula.text}")
     return [*lines, f"return {text(output, names)}"]
@@ -64,7 +64,7 @@ def _formula(result: Operand, names: Mapping[str, str], unnamed: dict[str, _Form
         part = unnamed.pop(each.name, None) if isinstance(each, Operand) else None
         if part is None:
             parts.append(text(each, names))
-            reads += [each.name] if isinstance(each, Operand) and each.name in names else []
+            reads += [each.name] if isinstance(each, Operand) else []
         else:
             parts.append(f"({part.text})")
             reads += part.reads

@@ -104,9 +104,10 @@ def compile_straightline(function: Callable[..., Any], inputs: Sequence[Any]) ->
         raise TypeError("cannot record None: it is neither a number nor an operand")
     needed = _needed(output)
     results = [result for result in tape.operations.values() if result.name in needed]
-    body = [f"{text(tree, {}, none='_')} = a{index}" for index, tree in enumerate(operands)]
-    body += statements(results, output)
-    head = f"def recorded({', '.join(f'a{index}' for index in range(len(operands)))}):"
+    arguments = [f"a{index}" for index in range(len(operands))]
+    body = [f"{text(tree, {}, none='_')} = {argument}" for argument, tree in zip(arguments, operands, strict=True)]
+    body += statements(results, output, free=arguments)
+    head = f"def recorded({', '.join(arguments)}):"
     source = "\n    ".join([head, *body]) + "\n"
     namespace: dict[str, Any] = {"__builtins__": {}, **FUNCTIONS}
     exec(compile(source, "<recorded>", "exec"), namespace)  # our own text: names and numbers made above

@@ -73,6 +73,15 @@ def test_a_second_start_forgets_the_first(runtime, inputs):
     assert ran() == first
 
 
+def test_after_a_sample_that_failed_all_is_forgotten(runtime, inputs):
+    q, force, wanted = begun(runtime, inputs)
+    before = runtime.p_hat
+    with pytest.raises(ValueError, match="unpack"):
+        runtime.control(q, runtime.velocity(q), (*force, 0.0), wanted)
+    assert before != (0.0, 0.0, 0.0)
+    assert runtime.p_hat == (0.0, 0.0, 0.0)
+
+
 def test_velocities_follow_a_steady_turn_like_a_low_pass(runtime):
     runtime.start((0.0,) * 4)
     found = np.array([runtime.velocity((1e-3 * k, 0.0, -2e-3 * k, 0.0)) for k in range(1, 101)])

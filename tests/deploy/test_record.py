@@ -120,8 +120,20 @@ def test_a_quotient_by_a_power_of_two_is_a_product():
 
 def test_what_is_used_once_has_no_name():
     recorded = compile_straightline(lambda x, y: (x * y + 1.0) * (x * y - x / y), (0.0, 0.0))
-    assert recorded.source.count("\n    t") == 2  # x y, and what is returned
+    assert recorded.source.count(" = ") == 2 + 2  # x, y; x y, and what is returned
     assert recorded.function(3.0, 2.0) == 7.0 * 4.5
+
+
+def test_names_of_inputs_and_arguments_are_used_again():
+    def many(pair, z):
+        x, y = pair
+        for _ in range(30):
+            x, y = x * x - y, x + y * y * z
+        return x, y
+
+    recorded = compile_straightline(many, ((0.0, 0.0), 0.0))
+    assert len(recorded.function.__code__.co_varnames) <= 6  # two arguments, three inputs, one between
+    assert recorded.function((0.25, 0.5), 0.3) == many((0.25, 0.5), 0.3)
 
 
 def test_sums_may_be_longer_than_python_nests():

@@ -174,7 +174,7 @@ def test_it_shows_where_a_flight_parts(tmp_path, capsys):
         if k == 800:
             memory, p_hat = runtime._memory, runtime.p_hat[0]
             at = memory.index(p_hat)
-            runtime._memory = (*memory[:at], p_hat + 1e-3, *memory[at + 1 :])
+            runtime._held[0] = (*memory[:at], p_hat + 1e-3, *memory[at + 1 :])
 
     write(tmp_path / "flight.npz", controller, fly(load(controller), change=slip))
     report = tmp_path / "flight.html"
