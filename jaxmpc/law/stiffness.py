@@ -77,6 +77,8 @@ class StiffnessEstimate(NamedTuple):
     """Mean square of the force's error [N²]."""
     strain: Scalar
     """The same over a longer time [N²]."""
+    unrest: Scalar
+    """For how long the error has not been calm, of the time after which the loop is taken to swing [-]."""
     usual: Scalar
     """What of ⟨ε²⟩ has been learned to be usual [N²]: so much for `learned`, which is how much of it has been."""
     learned: Scalar
@@ -129,6 +131,7 @@ def unknown(constants: StiffnessIdentification, force: Scalar) -> StiffnessEstim
         burst=zero,
         upset=zero,
         strain=zero,
+        unrest=zero,
         usual=zero,
         learned=zero,
         spent=zero,

@@ -1,4 +1,4 @@
-"""Whether a schedule gets the control back after a push, and when it does not."""
+"""Whether a schedule gets the control back after a push, and when it does not; a force that never calms."""
 
 from collections.abc import Callable, Iterator
 
@@ -111,3 +111,22 @@ def test_without_trust_there_is_no_pardon(run, settled) -> None:
     """A guard took gain back under it."""
     after = run(500, upset(run, settled._replace(trust=0.4), BEAT), upset=0.0, strain=BEAT)
     assert all(state.authority == 0.0 for state in after)
+
+
+def test_a_force_that_never_calms_has_the_tissue_heard(run, settled) -> None:
+    """Gains for stiffer tissue: the loop swings, though by less than takes the control at once."""
+    swung = run(1000, settled, upset=0.1**2)
+    assert swung[850].authority == 1.0
+    assert swung[-1].authority == 0.0
+    assert max(state.strain for state in swung) > credit.HEAVY**2  # which tells the other axes
+    after = run(500, swung[-1], upset=0.0)
+    assert all(state.authority == 0.0 for state in after)
+    assert after[-1].listening > 0.9
+
+
+def test_a_calm_between_two_beats_is_enough(run, settled) -> None:
+    state = settled
+    for _ in range(5):
+        state = run(100, run(700, state, upset=0.3**2)[-1], upset=0.05**2)[-1]
+        assert state.authority == 1.0
+        assert state.listening == 0.0
