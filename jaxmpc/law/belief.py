@@ -2,8 +2,8 @@
 
 The schedule has the control to the share of its authority, which rises where the stiffness is surely known, comes back
 after a push (`credit`), and falls where doubt is large. Doubt comes from a loop that rings or bursts, from the force's
-error, and from a guard that takes back gain. The sine sounds until the stiffness is known, and again from a doubt on,
-within the time that it may.
+error where it is large or never calm, and from a guard that takes back gain. The sine sounds until the stiffness is
+known, and again from a doubt on, within the time that it may.
 """
 
 from jaxmpc.law import credit
@@ -27,10 +27,10 @@ LEARNING, FORGETTING = 0.5, 0.02
 UPSET = 0.4
 """RMS of the force's error from which on the authority goes whatever the cause [N]: rhythms but for premature beats
 leave it below with the gains for the tissue."""
-RESTLESS, PATIENCE, CALMING = 0.07, 1.0, 0.05
-"""RMS of the force's error that is calm [N], for how long it may not be while the schedule has all of the control, and
-the time constant with which that is forgotten in a calm [s]. A loop whose gains are for tissue four times as stiff
-swings without end; with the right gains, early beats leave no calm for 0.8 s at most, in 1440 trials."""
+CALM, PATIENCE, CALMING = 0.07, 1.0, 0.05
+"""RMS of the force's error below which it is calm [N], for how long it may not be while the schedule has all of the
+control, and the time constant with which that is forgotten in a calm [s]. A loop whose gains are for tissue four times
+as stiff swings without end; with the right gains, early beats leave no calm for 0.8 s at most, in 1440 trials."""
 LOUDER, BURSTING, INAUDIBLE = 1.3, 2.2, 1e-6
 """From which multiple of what is usual on the noise, and a burst of it, tell of a loop that rings [-], with what is
 added to all of them [N²]. Measured on Table I's motion: 1.0 ± 0.06 and at most 1.9; 1.1 on tissue 1.6 times as stiff
@@ -99,14 +99,14 @@ def decide(
     sounding = unsettled * allowed - ops.maximum((1.0 - unsettled) * done, 1.0 - allowed)
     listening = state.listening + HEARING * T_s * sounding
     trust = state.trust + T_s * ((1.0 - state.trust) / TRUST - DISTRUST * state.authority * state.trust * swinging)
-    stirred = settled * ops.clip(2.0 * (state.upset / RESTLESS**2 - 1.0), 0.0, 1.0)
+    stirred = settled * ops.clip(2.0 * (state.upset / CALM**2 - 1.0), 0.0, 1.0)
     state = credit.step(state, T_s, sure * arrived, settled, large, strain, ops)
     return state._replace(
         log_stiffness=ops.clip(log_stiffness, constants.least, constants.most),
         authority=ops.clip(authority, 0.0, state.trust),
         listening=ops.clip(listening, 0.0, 1.0),
         doubt=doubt,
-        # No axis is pardoned what a beat does not do.
+        # More than any beat's, 1.3 times HEAVY's square: no axis is pardoned then, and all hear the tissue.
         strain=ops.maximum(state.strain, 0.65 * credit.HEAVY**2 * restless),
         unrest=state.unrest + T_s * (stirred / PATIENCE - (1.0 - stirred) * state.unrest / CALMING),
         usual=state.usual + learning * (state.noise - state.usual),

@@ -76,7 +76,7 @@ class StiffnessEstimate(NamedTuple):
     upset: Scalar
     """Mean square of the force's error [N²]."""
     strain: Scalar
-    """The same over a longer time [N²]."""
+    """The same over a longer time; more than any beat's where the error is never calm [N²]."""
     unrest: Scalar
     """For how long the error has not been calm, of the time after which the loop is taken to swing [-]."""
     usual: Scalar
