@@ -30,7 +30,7 @@ leave it below with the gains for the tissue."""
 CALM, PATIENCE, CALMING = 0.07, 1.0, 0.05
 """RMS of the force's error below which it is calm [N], for how long it may not be while the schedule has all of the
 control, and the time constant with which that is forgotten in a calm [s]. A loop whose gains are for tissue four times
-as stiff swings without end; with the right gains, early beats leave no calm for 0.8 s at most, in 1440 trials."""
+as stiff swings without end; with the right gains, early beats leave no calm for 0.87 s at most, in 5760 trials."""
 LOUDER, BURSTING, INAUDIBLE = 1.3, 2.2, 1e-6
 """From which multiple of what is usual on the noise, and a burst of it, tell of a loop that rings [-], with what is
 added to all of them [N²]. Measured on Table I's motion: 1.0 ± 0.06 and at most 1.9; 1.1 on tissue 1.6 times as stiff
