@@ -22,6 +22,8 @@ from jaxmpc.xla import ops
 
 ARM, AXIS = Shape(64, 2), Shape(64, 1)
 """Lanes and warps of a program of the arm, and of the linear loop (measured)."""
+WARP = 32
+"""Lanes that a multiprocessor cannot but run together."""
 ARM_ALONG, AXIS_ALONG = Shape(64, 2, 1), Shape(32, 1, 2)
 """The same of one that differentiates: on the arm two directions that share a run need too many registers, on the
 linear loop more than two (measured)."""
@@ -105,7 +107,16 @@ def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: An
 
 def _run(episode: Any, lane: Any, shape: Any, signals: Any, cut: tuple[Shape, Shape], dtype: Any) -> Any:
     interpret = jax.default_backend() == "cpu"
-    return episodes(Program(episode, shape, jnp.dtype(dtype), *cut, interpret), lane, signals)
+    alone, along = (_as_wide_as_needed(one, shape[1] * shape[2]) for one in cut)
+    return episodes(Program(episode, shape, jnp.dtype(dtype), alone, along, interpret), lane, signals)
+
+
+def _as_wide_as_needed(cut: Shape, lanes: int) -> Shape:
+    """Programs of half the lanes where a group has so few that fewer of them idle: trials have 30 to a motion."""
+    half = cut.lanes // 2
+    if half < WARP or lanes > 4 * cut.lanes or -lanes % half == -lanes % cut.lanes:
+        return cut
+    return cut._replace(lanes=half, warps=max(1, cut.warps // 2))
 
 
 def _per_group(counts: Any) -> Any:

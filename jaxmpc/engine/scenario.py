@@ -81,7 +81,7 @@ def _arm_signals(experiment: Experiment, swinging: bool) -> ArmSignals:
     # Leapfrog asks for the heart in the middle of a substep, Euler at its start.
     begin = 0.5 * h if arm.integrator == "leapfrog" else 0.0
     asked = (t[:, None] + begin + h * np.arange(arm.substeps)).ravel()
-    moving = np.stack(displacement(experiment.motion, t), axis=1)
+    moving = np.stack(experiment.heart, axis=1)
     between = np.stack(displacement(experiment.motion, asked), axis=1).reshape(len(t), arm.substeps, 2, 3)
     ahead = np.moveaxis(_ahead(experiment, wanted.T), 0, 1)
     signals = (moving, between, noise, ahead, score * 1.0, softening(tissue, t), (t >= experiment.settle) * 1.0, t)

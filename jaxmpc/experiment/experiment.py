@@ -220,6 +220,11 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         return data
 
     @cached_property
+    def heart(self) -> tuple[np.ndarray, np.ndarray]:
+        """Position [m] and velocity [m/s] of the heart's surface at every sample, each (steps, 3)."""
+        return displacement(self.motion, np.arange(self.steps) * self.sampling_time)
+
+    @cached_property
     def signals(self) -> Signals:
         """Everything that does not depend on the controller, computed once on the host."""
         t = np.arange(self.steps) * self.sampling_time
@@ -230,4 +235,4 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         if not score.any(axis=0).all():
             raise InputError("settle", self.settle, "shorter", "No sample is left to score: all are settling or ramps.")
         noise = np.random.Generator(np.random.Philox([self.sensor.seed, 1])).standard_normal((self.steps, 3))
-        return Signals(displacement(self.motion, t)[0], self.sensor.noise * noise, np.stack(wanted, 1), score)
+        return Signals(self.heart[0], self.sensor.noise * noise, np.stack(wanted, 1), score)

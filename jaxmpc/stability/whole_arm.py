@@ -38,6 +38,9 @@ from jaxmpc.xla.precision import in_float64
 
 ROUNDING = 1e-9
 """How far above 1 a spectral radius must lie to count: far more than eigenvalues near 1 are rounded by [-]."""
+MANY, AT_A_TIME = 500, 256
+"""From how many robots on a program is compiled, and how many it takes at a time: some 20 s of two cores once, and a
+second for a thousand robots; operation by operation any number takes 3 s of Python, and 9 s the first time."""
 _NONE = (0.0, 0.0, 0.0, 0.0)
 
 
@@ -148,20 +151,28 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
 
 def _matrices(
     params: Params, robots: Robot, T_s: float, force_filter: ForceFilter | None, kind: RobotStructure
-) -> Float[Array, "robots n n"]:
-    """One matrix per robot, operation by operation: 30 000 of them take two seconds, and minutes to compile.
-
-    Each operation is compiled for a number of robots, for some seconds in all on a CPU and for many more on a GPU.
-    """
+) -> Float[Array | np.ndarray, "robots n n"]:
+    """One matrix per robot: of a few operation by operation, of many in a program, which takes longer to compile."""
     count = len(robots.extra_delay)
     with on_cpu():
         gains, _ = jax.device_get(_designed(params, T_s, force_filter=force_filter))
-        robots = jax.tree.map(jnp.asarray, padded(robots, 1 << max(6, (count - 1).bit_length())))
-        each = jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, params.K2))(robots)
-    return each[:count]
+        if count < MANY:
+            # Each operation is compiled for a number of robots.
+            robots = jax.tree.map(jnp.asarray, padded(robots, 1 << max(6, (count - 1).bit_length())))
+            return _of_robots(gains, params.K2, robots, kind=kind)[:count]
+        robots = jax.tree.map(lambda leaf: leaf.reshape(-1, AT_A_TIME, *leaf.shape[1:]), padded(robots, AT_A_TIME))
+
+        def block(i: int) -> Any:
+            return _compiled(gains, params.K2, jax.tree.map(lambda leaf: leaf[i], robots), kind=kind)
+
+        return np.concatenate([block(i) for i in range(len(robots.extra_delay))])[:count]
 
 
-_designed = JitOnce(design_one)
+def _of_robots(gains: Gains, K2: Any, robots: Robot, *, kind: RobotStructure) -> Float[Array, "robots n n"]:
+    return jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, K2))(robots)
+
+
+_designed, _compiled = JitOnce(design_one), JitOnce(_of_robots, static_argnames=("kind",))
 
 
 def _smooth(robot: Robot, sticking: bool) -> Robot:

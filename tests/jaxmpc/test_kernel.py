@@ -74,6 +74,13 @@ def test_arm_is_the_scans_to_rounding(name: str, monkeypatch: pytest.MonkeyPatch
     check_equal(found, expected, 1e-9)
 
 
+@pytest.mark.parametrize(("lanes", "found"), [(30, (32, 1)), (40, (64, 2)), (90, (32, 1)), (320, (64, 2))])
+def test_a_program_is_as_narrow_as_lets_fewer_lanes_idle(lanes: int, found: tuple[int, int]) -> None:
+    """Of 30 lanes 34 would idle in one of 64; of 40 as many idle in two of 32; of many it is a few of a hundred."""
+    assert kernel._as_wide_as_needed(Shape(64, 2), lanes)[:2] == found
+    assert kernel._as_wide_as_needed(Shape(32, 1, 2), lanes) == Shape(32, 1, 2), "a warp is the least"
+
+
 def accesses(jaxpr: Any) -> int:
     """How often a program reads or writes several lanes of memory at once, in the kernels within it."""
     found = 0

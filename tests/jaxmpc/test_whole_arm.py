@@ -14,6 +14,7 @@ from jaxmpc.law import chain as arm
 from jaxmpc.law.gains import constant_reference
 from jaxmpc.loop.arm import ArmCarry, ArmLoop, ArmSignals, Cell, advance, start
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of
+from jaxmpc.stability import whole_arm
 from jaxmpc.stability.whole_arm import lost, radii, robots_of, whole_arm_matrix
 from jaxmpc.world.arm import chain
 from jaxmpc.world.arrays import ARRAYS
@@ -154,3 +155,16 @@ def test_kinds_may_be_mixed() -> None:
     """Rigid and swinging, each in its own program and back in order: the text design stands one and not the other."""
     rigid, swinging = experiment(), experiment(cable_hz=22.0, stiffness=(1900.0,))
     np.testing.assert_array_equal(lost(Params(), [rigid, swinging, rigid]), [False, True, False])
+
+
+@pytest.mark.oracle
+def test_many_are_asked_in_a_program_and_are_told_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Matrices differ by rounding alone, of entries up to some 1e3: 1e-9 is far above that."""
+    robots = robots_of([experiment(stiffness=(K,)) for K in (300.0, 810.0, 1900.0)])
+    kind, _ = world_of(experiment())
+    few = whole_arm._matrices(Params(), robots, T_S, None, kind)
+    monkeypatch.setattr(whole_arm, "MANY", 2)
+    monkeypatch.setattr(whole_arm, "AT_A_TIME", 2)
+    many = whole_arm._matrices(Params(), robots, T_S, None, kind)
+    assert many.shape == few.shape
+    np.testing.assert_allclose(many, few, rtol=1e-9, atol=1e-9)

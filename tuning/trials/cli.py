@@ -10,6 +10,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.terminal.arguments import engine_argument
 
 if TYPE_CHECKING:
+    from jaxmpc.experiment import Experiment
     from jaxmpc.report.content import Table
     from jaxmpc.synthesis.params import Params
     from tuning.trials import Job, Outcomes, Told
@@ -78,20 +79,29 @@ def run(args: argparse.Namespace) -> int:
         f"{args.trials} trials of {job.base.duration:g} s on {job.spread.arms} arms, {job.base.name}, seed {args.seed}"
     )
     print(_drawn_from(job), flush=True)
-    began = time.monotonic()
+    began, tell = time.monotonic(), _teller(job, names)
+    trials: list[Experiment] = []
+
+    def heard(first: int, found: "Outcomes") -> None:
+        if args.out:
+            # Drawn once more block by block: all at the end would take a GPU's user longer than to run them.
+            trials.extend(job.trial(first + i) for i in range(len(found.status)))
+        if not args.quiet:
+            tell(first, found)
+
     try:
         blocks = args.out / "blocks" if args.out else None
         with Beside(1) as beside:
             # Of little work and much compiling, which the trials leave a core for while they compile themselves.
             margins = beside.submit(_margins, names, job)
-            found = run_trials(job, args.trials, blocks, not args.quiet, None if args.quiet else _teller(job, names))
+            found = run_trials(job, args.trials, blocks, not args.quiet, heard)
             print(f"{args.trials} trials × {len(names)} controllers after {time.monotonic() - began:.0f} s")
             verdicts = _tables(job, names, found)
             print()
             told = ("controller", "delay", "M_s", "at N/m", "GM dB", "PM °", "DM ms", "M_s presliding", "at N/m")
             show(f"linear margins, the worst of {TISSUES} tissues", told, margins.result())
         if args.out:
-            _files(args.out, job, names, found, verdicts)
+            _files(args.out, job, trials, names, found, verdicts)
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         print(f"jaxmpc trials: cannot write: {error.strerror}{where}. Finished blocks are kept.", file=sys.stderr)
@@ -230,12 +240,13 @@ def _per_delay(name: str, params: "Params", job: "Job") -> list[list[str]]:
     return rows
 
 
-def _files(folder: Path, job: "Job", names: list[str], found: "Outcomes", verdicts: "Table") -> None:
+def _files(
+    folder: Path, job: "Job", trials: "list[Experiment]", names: list[str], found: "Outcomes", verdicts: "Table"
+) -> None:
     from jaxmpc.report.page import write_report
     from tuning.trials.report import draws, ranked, trials_report, write_csv, write_trial
 
     written = [folder / "trials.csv", folder / "trials.html"]
-    trials = [job.trial(i) for i in range(len(found.status))]
     write_csv(written[0], trials, names, found)
     write_report(trials_report(job, trials, names, found, verdicts), written[1])
     for which, c in (("worst", 0), ("worst-against", 1))[: len(names)]:

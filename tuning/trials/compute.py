@@ -9,13 +9,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from functools import partial
 from itertools import cycle, islice
+from math import inf
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from jaxmpc.beside import Beside
-from jaxmpc.engine.registry import named
+from jaxmpc.engine.registry import fastest, named
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment.build import robot_on_its_tissue
 from jaxmpc.loop.arm import ArmSignals
@@ -28,8 +29,11 @@ from tuning.trials.makers import made_by_processes
 from tuning.trials.outcomes import Outcomes
 from tuning.trials.program import Met, Shared, compile_ahead, wave_program
 
-BLOCKS_OF_A_WAVE = 35
-"""Blocks that a GPU runs at a time, 25 200 trials: half as many take it as long (measured)."""
+BLOCKS_OF_A_WAVE = 28
+"""Blocks that a GPU runs at a time, 20 160 trials: half as many take it two thirds of the time (measured)."""
+
+COPIES_OF_A_BLOCK = 5
+"""How often a GPU's memory holds what a block meets: two waves ahead, the one that runs, and two forms of that."""
 
 
 class Constants(NamedTuple):
@@ -64,7 +68,8 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
     if not firsts:
         return
     constants, on_cpu = constants_of(job), jax.default_backend() == "cpu"
-    devices, size = (jax.local_devices()[:1], 1) if on_cpu else (jax.local_devices(), BLOCKS_OF_A_WAVE)
+    devices = jax.local_devices()[:1] if on_cpu else jax.local_devices()
+    size = 1 if on_cpu else _blocks_of_a_wave(constants, devices[0])
     make = partial(met_in_block, job, constants.varied)
     blocks = map(make, firsts) if on_cpu else made_by_processes(make, firsts)
     programs = _programs(job, constants, size)
@@ -120,6 +125,13 @@ def met_in_block(job: Job, varied: tuple[int, ...], first: int) -> Met:
     return Met(heart, between, noise, own)
 
 
+def _blocks_of_a_wave(constants: Constants, device: jax.Device) -> int:
+    """How many a GPU runs at a time: fewer where its memory is short."""
+    block = sum(array.nbytes for array in _blank(constants))
+    room = (device.memory_stats() or {}).get("bytes_limit", inf)
+    return int(max(1, min(BLOCKS_OF_A_WAVE, room / (COPIES_OF_A_BLOCK * block))))
+
+
 def _blank(constants: Constants) -> Met:
     """Nothing, in the form of a block."""
     signals = constants.signals
@@ -137,7 +149,8 @@ def _compiled(programs: list[_Program], met: tuple[Met, ...]) -> None:
 
 def _programs(job: Job, constants: Constants, size: int) -> list[_Program]:
     base = job.trial(0)
-    run = wave_program(named(program_spec(base), job.engine), constants.varied, constants.structure, size * drawn.POOL)
+    spec = named(fastest(program_spec(base)), job.engine)
+    run = wave_program(spec, constants.varied, constants.structure, size * drawn.POOL)
     programs = []
     for members in by_structure(job.controllers):
         batch = Params.stack([job.controllers[i] for i in members])

@@ -67,7 +67,7 @@ class Job:
         base: An experiment on the arm; its duration, settling time and stiffness are the trials' own.
         spread: How far reality may lie from it.
         seed: Draws other trials.
-        engine: Which one runs them; None is the scan.
+        engine: Which one runs them; None is the fastest here.
 
     Raises:
         InputError: The experiment is not on the arm ("wam"), or the seed is out of bounds.

@@ -62,7 +62,8 @@ def _context() -> BaseContext:
 
 
 def _as_a_maker() -> None:
-    """A process that leaves the GPU alone, and Ctrl-C to the one that asked."""
+    """A process that leaves the GPU alone, the cores to what is compiled, and Ctrl-C to the one that asked."""
+    os.nice(5)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     config: Any = jax.config
     config.update("jax_platforms", "cpu")
