@@ -13,8 +13,8 @@ from jaxmpc.experiment.build import robot_on_its_tissue, structure_of
 from jaxmpc.law import chain as arm
 from jaxmpc.law.gains import constant_reference
 from jaxmpc.loop.arm import ArmCarry, ArmLoop, ArmSignals, Cell, advance, start
-from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability import whole_arm
+from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.whole_arm import lost, radii, robots_of, whole_arm_matrix
 from jaxmpc.world.arm import chain
 from jaxmpc.world.arrays import ARRAYS
