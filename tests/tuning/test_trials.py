@@ -2,7 +2,9 @@
 
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -11,13 +13,14 @@ import pytest
 import scipy.stats
 
 from jaxmpc import Experiment, InputError, Params, Status, evaluate
+from jaxmpc.engine.kernel import Kernel
 from jaxmpc.experiment.reference import Reference
 from jaxmpc.report.content import Table
 from tuning import trials
 from tuning.job.scenarios import RHYTHMS
 from tuning.trials import HARD, NOMINAL, Job, Outcomes, compute, drawn, on_own_tissues
 from tuning.trials.program import Met
-from tuning.trials.report import failures, pairs, ranked, trials_report
+from tuning.trials.report import _short, failures, pairs, ranked, trials_report
 
 BLOCK = 4
 
@@ -193,6 +196,37 @@ def test_motions_robots_and_controllers_find_their_places(monkeypatch: pytest.Mo
 
 
 @pytest.mark.usefixtures("few")
+@pytest.mark.oracle
+def test_the_kernel_runs_the_same_trials(few: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a GPU runs, to rounding: robots, tissues and delays of their own on motions that several share."""
+    monkeypatch.setattr(Kernel, "devices", ("cpu",))
+    monkeypatch.setattr(drawn, "DURATION", 2.1)
+    by_scan = job(Params.published("family"))
+    by_kernel = replace(by_scan, engine="kernel")
+    scanned, found = (trials.run(each, BLOCK) for each in (by_scan, by_kernel))
+    assert len(set(by_scan.trial(i).delay for i in range(BLOCK))) == 2
+    for name, one, other in zip(Outcomes._fields, found, scanned, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+def test_a_wave_is_as_wide_as_the_gpus_memory_lets_it_be(few: None) -> None:
+    constants = compute.constants_of(job())
+    block = sum(array.nbytes for array in compute.met_in_block(job(), constants.varied, 0))
+
+    def blocks(room: float | None) -> int:
+        device: Any = SimpleNamespace(memory_stats=lambda: room and {"bytes_limit": room})
+        return compute._blocks_of_a_wave(constants, device)
+
+    assert blocks(10.1 * compute.COPIES_OF_A_BLOCK * block) == 10
+    assert blocks(0.1 * block) == 1, "one has to fit"
+    assert blocks(1e6 * block) == blocks(None) == compute.BLOCKS_OF_A_WAVE
+
+
+def test_numbers_of_a_table_keep_seven_digits_and_what_is_none_is_empty() -> None:
+    assert _short(1234.56789, -2e-9, 3.0) == ["1234.568", "-2e-09", "3"]
+    assert _short(np.nan, 0.0, np.inf) == ["", "0", ""]
+
+
 def test_blocks_are_kept_and_refused_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     computed = []
 

@@ -30,8 +30,7 @@ from tuning.trials.outcomes import Outcomes
 from tuning.trials.program import Met, Shared, compile_ahead, wave_program
 
 BLOCKS_OF_A_WAVE = 28
-"""Blocks that a GPU runs at a time, 20 160 trials: half as many take it two thirds of the time (measured)."""
-
+"""Blocks that a GPU runs at a time, 20 160 trials: of `family` an H100 runs 11 in 3.6 s, 23 in 4.8 and 35 in 5.5."""
 COPIES_OF_A_BLOCK = 5
 """How often a GPU's memory holds what a block meets: two waves ahead, the one that runs, and two forms of that."""
 
