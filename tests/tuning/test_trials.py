@@ -195,21 +195,21 @@ def test_motions_robots_and_controllers_find_their_places(monkeypatch: pytest.Mo
         np.testing.assert_array_equal(noise, np.tile(trial.signals.noise[7], (3, 1)))
 
 
-@pytest.mark.usefixtures("few")
 @pytest.mark.oracle
-def test_the_kernel_runs_the_same_trials(few: None, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("few")
+def test_the_kernel_runs_the_same_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a GPU runs, to rounding: robots, tissues and delays of their own on motions that several share."""
     monkeypatch.setattr(Kernel, "devices", ("cpu",))
     monkeypatch.setattr(drawn, "DURATION", 2.1)
-    by_scan = job(Params.published("family"))
-    by_kernel = replace(by_scan, engine="kernel")
+    by_scan, by_kernel = (replace(job(Params.published("family")), engine=engine) for engine in ("scan", "kernel"))
     scanned, found = (trials.run(each, BLOCK) for each in (by_scan, by_kernel))
     assert len(set(by_scan.trial(i).delay for i in range(BLOCK))) == 2
     for name, one, other in zip(Outcomes._fields, found, scanned, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
-def test_a_wave_is_as_wide_as_the_gpus_memory_lets_it_be(few: None) -> None:
+@pytest.mark.usefixtures("few")
+def test_a_wave_is_as_wide_as_the_gpus_memory_lets_it_be() -> None:
     constants = compute.constants_of(job())
     block = sum(array.nbytes for array in compute.met_in_block(job(), constants.varied, 0))
 
@@ -227,6 +227,7 @@ def test_numbers_of_a_table_keep_seven_digits_and_what_is_none_is_empty() -> Non
     assert _short(np.nan, 0.0, np.inf) == ["", "0", ""]
 
 
+@pytest.mark.usefixtures("few")
 def test_blocks_are_kept_and_refused_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     computed = []
 

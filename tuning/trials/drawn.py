@@ -90,11 +90,10 @@ class Job:
 
     @property
     def digest(self) -> str:
-        """sha256 of all that the outcome of a trial depends on."""
+        """sha256 of all that the outcome of a trial depends on; engines and devices differ in rounding alone."""
         controllers = [params.to_dict() for params in self.controllers]
         spread = msgspec.to_builtins(self.spread)
-        other = [self.engine] if self.engine not in (None, "scan") else []
-        return digest([controllers, self.base.to_dict(), spread, self.seed, POOL, COPIES, *other])
+        return digest([controllers, self.base.to_dict(), spread, self.seed, POOL, COPIES])
 
     def trial(self, number: int) -> Experiment:
         """The experiment of a trial."""
