@@ -1,4 +1,7 @@
-"""Kernel, scan and stock MJX on one GPU, each at several batch sizes, in one run: `python -m benchmarks.gpu`.
+"""Kernel, scan and stock MJX on a GPU, each at several batch sizes, in one run: `python -m benchmarks.gpu`.
+
+Where the host has several GPUs, the kernel then runs as many controllers on each of the first one, two, four, … as on
+one alone (`--scaling`: that only); efficiency is the rate over as many times the rate of one.
 
 An axis-step is one sample of one axis of the linear loop, an arm step one of everything on the arm. Floor: 84
 operations of an axis-step and some 2 200 of an arm step, of which a multiplication and an addition may be one
@@ -16,6 +19,7 @@ import numpy as np
 
 AXIS_OPERATIONS, ARM_OPERATIONS = 84, 2200
 LANES_OF_A_MULTIPROCESSOR = 128
+BATCH_OF_A_GPU = 131072
 SECONDS = {"linear": 10.0, "wam": 4.0, "mjx": 2.7}
 
 
@@ -24,13 +28,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", type=Path, dest="out", help="write the results there, as JSON")
     parser.add_argument("--quick", action="store_true", help="one batch size each")
+    parser.add_argument("--scaling", action="store_true", help="only how the kernel does on several GPUs")
     args = parser.parse_args()
     import jax
 
     jax.config.update("jax_enable_x64", True)
     if jax.default_backend() != "gpu":
         raise SystemExit("benchmarks.gpu: no GPU here that JAX can use")
-    device = jax.devices()[0]
+    rows = [] if args.scaling else compared(args.quick)
+    rows += scaled()
+    if args.out:
+        said = {
+            "device": jax.devices()[0].device_kind,
+            "devices": jax.local_device_count(),
+            "jax": jax.__version__,
+            "date": time.strftime("%Y-%m-%d"),
+            "rows": rows,
+        }
+        args.out.write_text(json.dumps(said, indent=1) + "\n")
+
+
+def compared(quick: bool) -> list[dict[str, Any]]:
+    """Every engine on one GPU."""
     rows = []
     for physics, engine, dtype, batches in (
         ("linear", "kernel", "float32", (131072, 16384)),
@@ -40,7 +59,7 @@ def main() -> None:
         ("wam", "scan", "float32", (65536,)),
         ("mjx", "mjx", "float32", (8192,)),
     ):
-        for batch in batches[: 1 if args.quick else None]:
+        for batch in batches[: 1 if quick else None]:
             row = measured(physics, engine, dtype, batch)
             rows.append(row)
             print(
@@ -55,13 +74,30 @@ def main() -> None:
     print(
         f"arm: kernel / scan {best['kernel'] / best['scan']:.1f}, kernel / stock MJX {best['kernel'] / best['mjx']:.0f}"
     )
-    if args.out:
-        said = {"device": device.device_kind, "jax": jax.__version__, "date": time.strftime("%Y-%m-%d"), "rows": rows}
-        args.out.write_text(json.dumps(said, indent=1) + "\n")
+    return rows
 
 
-def measured(physics: str, engine: str, dtype: str, batch: int) -> dict[str, Any]:
-    """Rate of one engine on one batch [steps/s], and how long its first call took [s]."""
+def scaled() -> list[dict[str, Any]]:
+    """The kernel on more and more of the host's GPUs; nothing where there is one."""
+    import jax
+
+    there, rows = jax.local_device_count(), []
+    counts = [2**i for i in range(there.bit_length()) if there > 1]
+    for physics in ("linear", "wam"):
+        for devices in counts:
+            row = measured(physics, "kernel", "float32", BATCH_OF_A_GPU * devices, devices)
+            rows.append(row)
+            efficiency = row["rate"] / (devices * rows[-1 - counts.index(devices)]["rate"])
+            print(
+                f"{physics:<7}kernel on {devices} GPUs, {BATCH_OF_A_GPU} controllers each: "
+                f"{row['rate'] / 1e9:8.3f} G steps/s, efficiency {efficiency:.1%}",
+                flush=True,
+            )
+    return rows
+
+
+def measured(physics: str, engine: str, dtype: str, batch: int, devices: int = 1) -> dict[str, Any]:
+    """Rate of one engine on one batch [steps/s], dealt out to so many GPUs, and how long its first call took [s]."""
     import jax
     import msgspec
 
@@ -77,10 +113,16 @@ def measured(physics: str, engine: str, dtype: str, batch: int) -> dict[str, Any
     random, text = np.random.default_rng(0), Params.published("text")
     factors = np.exp(random.uniform(-0.7, 0.7, (2, batch)))
     params = text.with_columns({"lam": float(text.lam) * factors[0], "Q_p": float(text.Q_p) * factors[1]})
-    loops = jax.jit(lambda p: close_loops(p, data.stiffness, data.path))(params)
-    run = jax.jit(
-        lambda loops: choose(spec).simulate(spec, loops.gains, loops.K2, loops.contacts, data, dtype).metrics.rms
-    )
+    mesh = jax.sharding.Mesh(np.array(jax.local_devices()[:devices]), ("device",))
+    split = jax.sharding.PartitionSpec("device")
+
+    def dealt(function: Any) -> Any:
+        return jax.jit(jax.shard_map(function, mesh=mesh, in_specs=split, out_specs=split, check_vma=False))
+
+    def rms(loops: Any) -> Any:
+        return choose(spec).simulate(spec, loops.gains, loops.K2, loops.contacts, data, dtype).metrics.rms
+
+    loops, run = dealt(lambda p: close_loops(p, data.stiffness, data.path))(params), dealt(rms)
     times = []
     for _ in range(3):
         began = time.perf_counter()
@@ -95,9 +137,10 @@ def measured(physics: str, engine: str, dtype: str, batch: int) -> dict[str, Any
         "engine": engine,
         "precision": dtype,
         "controllers": batch,
+        "devices": devices,
         "rate": rate,
         "first_s": times[0],
-        "share_of_peak": rate * operations / peak(),
+        "share_of_peak": rate * operations / (devices * peak()),
     }
 
 

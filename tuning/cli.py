@@ -38,6 +38,8 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
+    from msgspec.structs import replace
+
     from jaxmpc.engine.registry import named
     from jaxmpc.engine.scenario import program_spec
     from jaxmpc.files.errors import InputError, nearest, plain_name
@@ -57,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
     check_folder("-o", args.out)
     spec = TuneSpec.from_toml(path)
     named(program_spec(spec.experiment), args.engine, "reverse")
+    spec = replace(spec, engine=args.engine)
     if args.limit:
         # Sooner than after an hour of tuning.
         solver()

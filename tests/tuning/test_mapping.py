@@ -13,10 +13,10 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
-from tuning.objective.loss import HEADROOM, Values, loss_of
+from tuning.objective.loss import HEADROOM, Values, loss_of, value_and_gradient
 from tuning.objective.measures import Data
-from tuning.objective.problem import Problem, problem_of, training
-from tuning.proof.gradients import on_tissue
+from tuning.objective.problem import Problem, over_starts, problem_of, training
+from tuning.proof.gradients import on_tissue, slopes
 from tuning.search.corrected import REACH, minimised, values_and_slopes
 from tuning.search.mapping import Measured, corrected_at, correction, parents, refine, spectra_of
 from tuning.search.state import SearchState
@@ -96,6 +96,19 @@ def limited(case: Case, rows: int, factors: Metrics) -> Data:
 def first_of(factors: Metrics) -> Metrics:
     one: Metrics = jax.tree.map(lambda field: field[:1], factors)
     return one
+
+
+@pytest.mark.slow
+@in_float64
+def test_what_the_slopes_are_taken_of_is_compiled_ahead(case: Case) -> None:
+    """By what is measured later: the proof's slopes on each tissue then wait for no compiler."""
+    program, rows = over_starts(value_and_gradient, case.spectra.structure), len(case.z)
+    case.spectra.compile_slopes(rows)
+    compiled, measured = program.programs, Measured(case.z, case.measured.loss, case.factors)
+    corrected = corrected_at(case.spectra, measured, case.z[1])
+    found = [slopes(on_tissue(corrected, i), case.z[1], rows) for i in range(len(case.spec.experiment.stiffness))]
+    assert np.isfinite([one["score"].gradient for one in found]).all()
+    assert program.programs == compiled
 
 
 @pytest.mark.slow

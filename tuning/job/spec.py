@@ -54,6 +54,8 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     risk: Risk = Risk()
     pareto: Mapping[str, tuple[float, ...]] = msgspec.field(default_factory=dict)
     """Limits of hard goals for which the front is wanted; empty for no front."""
+    engine: str | None = None
+    """What runs the loops; None is the fastest here. No part of what the job is: engines differ in rounding alone."""
 
     def __post_init__(self) -> None:
         self.tune.check()

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxmpc.closed_loops import close_loops, lasted_per_motion, per_motion, run_loops
 from jaxmpc.engine.base import ProgramSpec, ScenarioData
+from jaxmpc.engine.registry import fastest, named
 from jaxmpc.engine.scenario import program_spec
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
@@ -24,19 +25,22 @@ BLOCK = 12
 """Scenarios that run at a time: one program serves any number of them."""
 
 
-def compare(controllers: Sequence[Params], experiments: Sequence[Experiment], show: bool = False) -> Metrics:
+def compare(
+    controllers: Sequence[Params], experiments: Sequence[Experiment], show: bool = False, engine: str | None = None
+) -> Metrics:
     """What is measured of several controllers in each scenario.
 
     Args:
         controllers: The controllers; those of one structure run side by side.
         experiments: Scenarios of one experiment.
         show: Whether to show progress.
+        engine: What runs them; None is the fastest here.
 
     Returns:
         Each field (controllers, scenarios, stiffness, 3); NaN where a run left the finite numbers or 1 kN.
     """
     alike = by_structure(controllers)
-    parts = [_compare(Params.stack([controllers[i] for i in rows]), experiments, show) for rows in alike]
+    parts = [_compare(Params.stack([controllers[i] for i in rows]), experiments, show, engine) for rows in alike]
     order = np.argsort(np.concatenate(alike))
     whole: Metrics = jax.tree.map(lambda *fields: np.concatenate(fields)[order], *parts)
     return whole
@@ -51,9 +55,10 @@ def versus(
         Of the one before and of each candidate, every field (scenarios, stiffness, 3).
     """
     if spec.met_before(met) == list(met):
-        runs = compare([spec.before, *candidates], met, show)
+        runs = compare([spec.before, *candidates], met, show, spec.engine)
     else:
-        parts = compare([spec.before], spec.met_before(met), show), compare(candidates, met, show)
+        pairs = ([spec.before], spec.met_before(met)), (candidates, met)
+        parts = [compare(controllers, scenes, show, spec.engine) for controllers, scenes in pairs]
         runs = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
     before, *each = (jax.tree.map(lambda field, i=i: field[i], runs) for i in range(1 + len(candidates)))
     return before, each
@@ -74,8 +79,9 @@ def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> np.ndarray:
     return np.where(np.isnan(largest), np.inf, largest)
 
 
-def _compare(batch: Params, experiments: Sequence[Experiment], show: bool) -> Metrics:
+def _compare(batch: Params, experiments: Sequence[Experiment], show: bool, engine: str | None) -> Metrics:
     world, count = program_spec(experiments[0]), len(experiments)
+    world = fastest(world) if engine is None else named(world, engine)
     block = min(BLOCK, count)
     parts = []
     with progress("compare", count, "scenarios", show) as tick:

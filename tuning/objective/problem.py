@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
+from jaxmpc.engine.base import ProgramSpec
+from jaxmpc.engine.registry import fastest
 from jaxmpc.engine.scenario import program_spec
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
@@ -55,6 +57,13 @@ class Problem(NamedTuple):
         """Compile `evaluate` for so many starts."""
         z = np.zeros((starts, SearchSpace(self.data.base, self.structure.axes).size))
         over_starts(value_alone, self.structure).compile(*self._arguments(z, 1.0))
+
+    def compile_slopes(self, starts: int) -> None:
+        """Compile `differentiate` for so many starts, of spectra that one run corrects (`tuning.proof.gradients`)."""
+        factors = jax.tree.map(lambda field: jnp.ones((1, *field.shape)), self.data.reference)
+        corrected = self._replace(data=self.data._replace(correction=factors))
+        z = np.zeros((starts, SearchSpace(self.data.base, self.structure.axes).size))
+        over_starts(value_and_gradient, self.structure).compile(*corrected._arguments(z, 1.0))
 
     def _dealt_out(self, function: Callable[..., Values], z: np.ndarray, width: float) -> Values:
         values: Values = over_starts(function, self.structure)(*self._arguments(z, width))
@@ -117,7 +126,7 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
     scene, spectra = _seen(met, spectral, swinging)
     # Scenarios may differ in delay; the linear loop has the experiment's, as the margins do.
     scene = scene._replace(path=replace(scene.path, delay=float(spec.experiment.delay)))
-    world = program_spec(_linear(met[0]) if spectral else met[0])
+    world = program_spec(_linear(met[0])) if spectral else _engined(spec, met[0])
     structure = ProblemStructure(spec.space.axes, world, spec.tune.precision, spec.risk)
     cells = (len(scene.stiffness), len(met), 3)
     judged_at, believed = judged_cells(spec, spectral)
@@ -138,7 +147,7 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
     if any(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in {**spec.soft, **spec.goals}):
         old = spec.met_before(met)
         scene, spectra = jax.tree.map(jnp.asarray, _seen(old, spectral, swinging))
-        world = structure.world if spectral else program_spec(old[0])
+        world = structure.world if spectral else _engined(spec, old[0])
         seen_before = data._replace(scene=scene, spectra=spectra)
         data = data._replace(reference=measure(spec.before, seen_before, structure._replace(world=world)))
     return Problem(data, structure)
@@ -171,6 +180,12 @@ def _seen(met: Sequence[Experiment], spectral: bool, swinging: bool) -> tuple[An
         return scene_over(met, swinging), None
     spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, met))
     return scene_over([_linear(met[0])], False), spectra
+
+
+def _engined(spec: TuneSpec, experiment: Experiment) -> ProgramSpec:
+    """Its program; on the arm, where runs are evaluated and never differentiated, on the fastest engine."""
+    found = program_spec(experiment)
+    return fastest(found) if spec.on_arm and spec.engine is None else found
 
 
 def _linear(experiment: Experiment) -> Experiment:

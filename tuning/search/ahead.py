@@ -14,7 +14,7 @@ from tuning.objective.problem import Problem, problem_of, training
 from tuning.search import corrected
 from tuning.search.mapping import PROPOSED, spectra_of
 
-PROGRAMS = 3
+PROGRAMS = 4
 """That `readied` compiles."""
 
 
@@ -52,6 +52,7 @@ def readied(spec: TuneSpec, pool: Executor) -> Future[OnArm]:
             lambda: found.runs.compile_evaluation(rows),
             lambda: corrected.compile_ahead(spec, found.spectra),
             lambda: found.spectra.compile_evaluation(rows),
+            lambda: found.spectra.compile_slopes(rows),
         ):
             pool.submit(in_float64(program))
         return found
