@@ -89,7 +89,7 @@ def scaled() -> list[dict[str, Any]]:
             rows.append(row)
             efficiency = row["rate"] / (devices * rows[-1 - counts.index(devices)]["rate"])
             print(
-                f"{physics:<7}kernel on {devices} GPUs, {BATCH_OF_A_GPU} controllers each: "
+                f"{physics:<7}kernel, GPUs: {devices}, {BATCH_OF_A_GPU} controllers each: "
                 f"{row['rate'] / 1e9:8.3f} G steps/s, efficiency {efficiency:.1%}",
                 flush=True,
             )

@@ -1,27 +1,75 @@
 """Which engine runs a job's loops: the fastest where they are only evaluated, or the one that somebody names."""
 
+from pathlib import Path
+from typing import Any
+
 import jax
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
+import tuning
+from jaxmpc.cli import main
+from jaxmpc.engine.base import ProgramSpec
+from jaxmpc.files.errors import InputError
+from jaxmpc.metrics import Metrics
 from tuning import TuneSpec
-from tuning.objective.problem import _engined
+from tuning.job.scenarios import scenarios
+from tuning.objective import comparison
+from tuning.objective.problem import problem_of, training
 
 
-@pytest.mark.parametrize(("published", "engine"), [("table-1-wam", "kernel"), ("table-1", "scan")])
-def test_the_arm_is_evaluated_in_the_kernel_where_there_is_a_gpu(
-    published: str, engine: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The linear loop, whose runs are differentiated in reverse, keeps the scan."""
-    spec = TuneSpec.from_dict({"experiment": {"published": published}})
-    assert _engined(spec, spec.experiment).engine == "scan"
+@pytest.fixture
+def spec() -> TuneSpec:
+    """A job on the arm; no goal is a ratio, so that nothing runs while it is made."""
+    return TuneSpec.from_dict({"experiment": {"published": "table-1-wam"}, "goals": {"soft": {"rms": 0.1}}})
+
+
+@pytest.fixture
+def on_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert _engined(spec, spec.experiment).engine == engine
 
 
-def test_who_names_the_scan_gets_it_and_the_same_job(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    spec = TuneSpec.from_dict({"experiment": {"published": "table-1-wam"}})
+@pytest.mark.usefixtures("on_gpu")
+def test_runs_that_are_only_evaluated_are_the_kernels_where_there_is_a_gpu(spec: TuneSpec) -> None:
+    """What is differentiated, as a front is, keeps the scan and its reverse mode."""
+    met = training(spec, [0])
+    found = [problem_of(spec, met, evaluated=evaluated).structure.world.engine for evaluated in (True, False)]
+    assert found == ["kernel", "scan"]
+
+
+@pytest.mark.usefixtures("on_gpu")
+def test_who_names_the_scan_gets_it_and_the_same_job(spec: TuneSpec) -> None:
     named = replace(spec, engine="scan")
-    assert _engined(named, named.experiment).engine == "scan"
+    assert problem_of(named, training(named, [0]), evaluated=True).structure.world.engine == "scan"
     assert named.digest == spec.digest
+
+
+@pytest.mark.usefixtures("on_gpu")
+@pytest.mark.parametrize(("engine", "expected"), [(None, "kernel"), ("scan", "scan")])
+def test_so_do_the_comparisons(
+    engine: str | None, expected: str, spec: TuneSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = []
+
+    def run(batch: Any, scene: Any, world: ProgramSpec) -> Metrics:
+        ran.append(world.engine)
+        return Metrics(*[np.zeros((len(batch.lam), 1, 3, 3))] * len(Metrics._fields))
+
+    monkeypatch.setattr(comparison, "_run", run)
+    met = scenarios(spec.experiment, spec.scenarios, [0])
+    comparison.versus(replace(spec, engine=engine), [spec.params], met)
+    assert set(ran) == {expected}
+
+
+def test_the_command_line_hands_the_engine_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    engines = []
+
+    def told(spec: TuneSpec, *_: Any, **__: Any) -> None:
+        engines.append(spec.engine)
+        raise InputError("tune", "told", "enough", "Stop here.")
+
+    monkeypatch.setattr(tuning, "tune", told)
+    for words in ((), ("--engine", "scan")):
+        assert main(["tune", "arm-tune", "-o", str(tmp_path), "--quiet", *words]) == 2
+    assert engines == [None, "scan"]

@@ -102,13 +102,14 @@ def first_of(factors: Metrics) -> Metrics:
 @in_float64
 def test_what_the_slopes_are_taken_of_is_compiled_ahead(case: Case) -> None:
     """By what is measured later: the proof's slopes on each tissue then wait for no compiler."""
+    over_starts.cache_clear()  # what another test has compiled would hide what this one does not
     program, rows = over_starts(value_and_gradient, case.spectra.structure), len(case.z)
     case.spectra.compile_slopes(rows)
-    compiled, measured = program.programs, Measured(case.z, case.measured.loss, case.factors)
+    measured = Measured(case.z, case.measured.loss, case.factors)
     corrected = corrected_at(case.spectra, measured, case.z[1])
     found = [slopes(on_tissue(corrected, i), case.z[1], rows) for i in range(len(case.spec.experiment.stiffness))]
     assert np.isfinite([one["score"].gradient for one in found]).all()
-    assert program.programs == compiled
+    assert program.programs == 1
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     pareto: Mapping[str, tuple[float, ...]] = msgspec.field(default_factory=dict)
     """Limits of hard goals for which the front is wanted; empty for no front."""
     engine: str | None = None
-    """What runs the loops; None is the fastest here. No part of what the job is: engines differ in rounding alone."""
+    """What evaluates the loops; None is the fastest here. No part of what the job is: engines differ in rounding."""
 
     def __post_init__(self) -> None:
         self.tune.check()

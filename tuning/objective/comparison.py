@@ -80,8 +80,7 @@ def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> np.ndarray:
 
 
 def _compare(batch: Params, experiments: Sequence[Experiment], show: bool, engine: str | None) -> Metrics:
-    world, count = program_spec(experiments[0]), len(experiments)
-    world = fastest(world) if engine is None else named(world, engine)
+    world, count = named(fastest(program_spec(experiments[0])), engine), len(experiments)
     block = min(BLOCK, count)
     parts = []
     with progress("compare", count, "scenarios", show) as tick:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc.engine.base import ProgramSpec
-from jaxmpc.engine.registry import fastest
+from jaxmpc.engine.registry import fastest, named
 from jaxmpc.engine.scenario import program_spec
 from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
@@ -114,19 +114,25 @@ def training(spec: TuneSpec, seeds: Sequence[int]) -> list[Experiment]:
     return scenarios(base, spec.scenarios, seeds)
 
 
-def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False) -> Problem:
+def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False, evaluated: bool = False) -> Problem:
     """A job as a function of all starts.
 
     Args:
         spec: The job.
         met: The scenarios.
         spectral: Whether spectra of the scenarios tell of the linear loop what they can, and nothing runs.
+        evaluated: Whether it will only be evaluated, not differentiated: by the fastest engine, or the one named.
     """
     swinging = any(name in RUN_GOALS and RUN_GOALS[name].metric.name == "swing" for name in {**spec.soft, **spec.held})
     scene, spectra = _seen(met, spectral, swinging)
     # Scenarios may differ in delay; the linear loop has the experiment's, as the margins do.
     scene = scene._replace(path=replace(scene.path, delay=float(spec.experiment.delay)))
-    world = program_spec(_linear(met[0])) if spectral else _engined(spec, met[0])
+
+    def engined(experiment: Experiment) -> ProgramSpec:
+        found = program_spec(experiment)
+        return named(fastest(found), spec.engine) if evaluated else found
+
+    world = program_spec(_linear(met[0])) if spectral else engined(met[0])
     structure = ProblemStructure(spec.space.axes, world, spec.tune.precision, spec.risk)
     cells = (len(scene.stiffness), len(met), 3)
     judged_at, believed = judged_cells(spec, spectral)
@@ -147,7 +153,7 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
     if any(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in {**spec.soft, **spec.goals}):
         old = spec.met_before(met)
         scene, spectra = jax.tree.map(jnp.asarray, _seen(old, spectral, swinging))
-        world = structure.world if spectral else _engined(spec, old[0])
+        world = structure.world if spectral else engined(old[0])
         seen_before = data._replace(scene=scene, spectra=spectra)
         data = data._replace(reference=measure(spec.before, seen_before, structure._replace(world=world)))
     return Problem(data, structure)
@@ -180,12 +186,6 @@ def _seen(met: Sequence[Experiment], spectral: bool, swinging: bool) -> tuple[An
         return scene_over(met, swinging), None
     spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, met))
     return scene_over([_linear(met[0])], False), spectra
-
-
-def _engined(spec: TuneSpec, experiment: Experiment) -> ProgramSpec:
-    """Its program; on the arm, where runs are evaluated and never differentiated, on the fastest engine."""
-    found = program_spec(experiment)
-    return fastest(found) if spec.on_arm and spec.engine is None else found
 
 
 def _linear(experiment: Experiment) -> Experiment:

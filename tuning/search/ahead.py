@@ -46,7 +46,7 @@ def readied(spec: TuneSpec, pool: Executor) -> Future[OnArm]:
     @in_float64  # which is a thread's own
     def ready() -> OnArm:
         met = training(spec, spec.tune.train_seeds)
-        runs = problem_of(spec, met)
+        runs = problem_of(spec, met, evaluated=True)
         found = OnArm(runs, spectra_of(spec, runs, met))
         for program in (
             lambda: found.runs.compile_evaluation(rows),
