@@ -7,6 +7,7 @@ from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
 from tuning.job.spec import TuneSpec
+from tuning.proof.ahead import programs
 from tuning.proof.result import TuneResult, assess
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.files import write
@@ -49,7 +50,7 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
-    result = assess(run_search(spec, place, progress), progress)
+    result = assess(run_search(spec, place, progress, programs(spec)), progress)
     if place is not None:
         write(result, place)
     return result

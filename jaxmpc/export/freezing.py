@@ -27,6 +27,7 @@ from jaxmpc.stability.family import family_margins, judged_where
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.arm import chain
 from jaxmpc.world.loop_path import LoopPath
+from jaxmpc.xla.place import on_cpu
 
 STIFFNESSES = 33
 """Between the softest and the hardest tissue, log-spaced, besides the experiment's own."""
@@ -41,6 +42,7 @@ QUICKER_HZ, LESS = 20.0, 1.25
 """The same for a controller with a schedule, whose gain at 40 Hz is higher."""
 
 
+@on_cpu()  # one run and a few margins
 def freeze_controller(
     path: Path,
     params: Params,
@@ -126,6 +128,7 @@ def _rows(params: Params, experiment: Experiment, loop: LoopPath) -> list[dict[s
     return _tables(stiffness, found._asdict())
 
 
+@on_cpu()  # which is a thread's own
 def _family(params: Params, loop: LoopPath) -> dict[str, Any]:
     """Worst margins over the band of K_s/K̂ that the identification leaves, with K̂ held at and between the knots."""
     assert params.listening is not None

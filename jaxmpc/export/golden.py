@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpc.closed_loops import evaluate_block
-from jaxmpc.engine.base import scalars
+from jaxmpc.engine.base import ProgramSpec, ScenarioData, scalars
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.build import robot_of
@@ -87,16 +87,24 @@ def read_in(experiment: Experiment, trace: Mapping[str, Any]) -> list[ArmRun]:
 
 def _simulated(params: Params, experiment: Experiment, stiffness: tuple[float, ...]) -> dict[str, np.ndarray]:
     """Signals of one controller by name, each (stiffness, axes or joints, steps, …)."""
-    names = ("force", "force_ref") if experiment.physics == "linear" else ("force", "force_ref", "q")
     scene, world = scenario_data(experiment)._replace(stiffness=np.asarray(stiffness)), program_spec(experiment)
+    batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], params)
+    signals = _run(batch, scene, world=world)
+    return {name: np.asarray(signal) for name, signal in signals._asdict().items() if signal is not None}
 
-    @JitOnce
-    def run(batch: Params) -> dict[str, Any]:
-        # Of the outcome only parts of the trace are returned, so nothing else is compiled.
-        outcome = evaluate_block(batch, scene, world=world, dtype="float64", traced=True)
-        return {name: getattr(outcome.trace, name)[0] for name in names}
 
-    return {name: np.asarray(x) for name, x in run(jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], params)).items()}
+class _Signals(NamedTuple):
+    force: Any
+    force_ref: Any
+    q: Any
+    """None of the linear loop."""
+
+
+@partial(JitOnce, static_argnames=("world",))
+def _run(batch: Params, scene: ScenarioData, world: ProgramSpec) -> _Signals:
+    # Of the outcome only parts of the trace are returned, so nothing else is compiled.
+    trace: Any = evaluate_block(batch, scene, world=world, dtype="float64", traced=True).trace
+    return _Signals(trace.force[0], trace.force_ref[0], None if world.robot is None else trace.q[0])
 
 
 @in_float64

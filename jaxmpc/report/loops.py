@@ -18,6 +18,7 @@ from jaxmpc.world.contact import init as contact_init
 from jaxmpc.world.contact import move as contact_move
 from jaxmpc.world.contact import sense as contact_sense
 from jaxmpc.world.loop_path import LoopPath
+from jaxmpc.xla.place import on_cpu
 from jaxmpc.xla.precision import in_float64
 
 LOWEST_HZ, POINTS = 0.1, 500
@@ -54,6 +55,7 @@ class Curves(NamedTuple):
         return excess
 
 
+@on_cpu()
 @in_float64
 def curves(params: Params, experiment: Experiment, ideal: bool) -> Curves:
     """Curves of one controller.

@@ -1,5 +1,6 @@
 """What disturbs the loop in an experiment, as a few lines: heart, friction and model error, noise."""
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ class Spectrum(NamedTuple):
     """Standard deviation of sensor noise and quantisation, white [N]."""
 
 
+@lru_cache(maxsize=32)  # before and after tuning, and in a job's problems, the scenarios are the same
 def spectrum_of(experiment: Experiment, lines: int = LINES) -> Spectrum:
     r"""Heart, and on the arm friction and model error, from `settle` on; the reference counts as constant.
 

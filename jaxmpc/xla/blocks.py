@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxmpc.xla import store
 from jaxmpc.xla.shared import JitShared
@@ -89,7 +89,7 @@ class OverDevices:
         mesh = Mesh(np.array(jax.local_devices()), ("device",))
         spec: Any = PartitionSpec
         split, whole = spec("device"), spec()
-        self._devices = mesh.size
+        self._devices, self._everywhere = mesh.size, NamedSharding(mesh, whole)
 
         def dealt(batch: Any, shared: Any) -> Callable[..., Any]:
             share = jax.tree.map(lambda leaf: leaf[: len(leaf) // self._devices], batch)
@@ -99,14 +99,18 @@ class OverDevices:
 
         self._dealt = JitShared(dealt)
 
+    def everywhere(self, shared: Any) -> Any:
+        """What all rows share, on every device: worth it for what is shared by many calls."""
+        return jax.device_put(shared, self._everywhere)
+
     def compile(self, batch: Any, shared: Any) -> None:
         """Compile for arrays like these before there is anything to run with."""
-        self._dealt.compile(padded(batch, self._devices), jax.tree.map(jnp.asarray, shared))
+        self._dealt.compile(padded(batch, self._devices), self.everywhere(shared))
 
     def begin(self, batch: Any, shared: Any) -> Callable[[], Any]:
         """Have the devices begin; what is returned waits for them, and gives the result as numpy."""
         rows = len(jax.tree.leaves(batch)[0])
-        found = self._dealt(padded(batch, self._devices), jax.tree.map(jnp.asarray, shared))
+        found = self._dealt(padded(batch, self._devices), self.everywhere(shared))
         return lambda: jax.tree.map(lambda leaf: np.asarray(leaf)[:rows], found)
 
     def __call__(self, batch: Any, shared: Any) -> Any:

@@ -1,15 +1,20 @@
-"""Quick compilation of programs that run only a few times: in half the time, and they take twice as long or more."""
+"""Quick compilation of programs that run only a few times: in half the time, and they take twice as long or more.
+
+Several threads may call: of those that want the same program one compiles it, and the others wait.
+"""
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 import jax
 
 from jaxmpc.xla import store
 from jaxmpc.xla.place import platform
+from jaxmpc.xla.shared import kind_of
 
 OPTIONS: tuple[dict[str, Any], ...] = (
     {"xla_cpu_use_fusion_emitters": False},
@@ -36,6 +41,7 @@ class JitOnce:
         self._plain = jax.jit(function, static_argnames=self._static)
         self._kept: dict[str, store.Kept | None] = {}
         self._by_platform: dict[str, Any] = {}
+        self._locks: dict[Hashable, Lock] = {}
 
     @property
     def _quick(self) -> Any:
@@ -47,17 +53,24 @@ class JitOnce:
         """Compile if need be, and run."""
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, kwargs))):
             return self._plain(*args, **kwargs)
-        kept = self._from_store(args, kwargs)
-        return self._quick(*args, **kwargs) if kept is None else kept(**self._named(args, kwargs)[0])
+        with self._one_at_a_time(args, kwargs):
+            kept = self._from_store(args, kwargs)
+            return self._quick(*args, **kwargs) if kept is None else kept(**self._named(args, kwargs)[0])
 
     def compile(self, *args: Any, **kwargs: Any) -> None:
         """Compile for arrays like these, on their devices, before they are there to run with."""
-        kept = self._from_store(args, kwargs)
-        if kept is None:
-            self._quick.lower(*args, **kwargs).compile()
-        else:
-            compiled: Any = kept.call
-            compiled.lower(*jax.tree.leaves(self._named(args, kwargs)[0])).compile()
+        with self._one_at_a_time(args, kwargs):
+            kept = self._from_store(args, kwargs)
+            if kept is None:
+                self._quick.lower(*args, **kwargs).compile()
+            else:
+                compiled: Any = kept.call
+                compiled.lower(*jax.tree.leaves(self._named(args, kwargs)[0])).compile()
+
+    def _one_at_a_time(self, args: Any, kwargs: Any) -> Lock:
+        """Held while a program is compiled, or begun: JAX does not wait for what it begins."""
+        arguments, static = self._named(args, kwargs)
+        return self._locks.setdefault((kind_of(arguments), *sorted(static.items()), platform()), Lock())
 
     def _from_store(self, args: Any, kwargs: Any) -> store.Kept | None:
         arguments, static = self._named(args, kwargs)

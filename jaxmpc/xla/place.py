@@ -1,15 +1,18 @@
 """Where programs run: a CPU is done with a few loops before a GPU, which takes one small step after another, begins."""
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import jax
 
 
-def on_cpu() -> AbstractContextManager[Any]:
-    """Within it, in this thread, programs run on the CPU, whatever else there is."""
-    context: AbstractContextManager[Any] = jax.default_device(jax.local_devices(backend="cpu")[0])
-    return context
+@contextmanager
+def on_cpu() -> Iterator[None]:
+    """Within it, in this thread, programs run on the CPU, whatever else there is; `@on_cpu()` does so to a function."""
+    # Where they do so anyway, a device by name would have them all traced again.
+    with nullcontext() if platform() == "cpu" else jax.default_device(jax.local_devices(backend="cpu")[0]):
+        yield
 
 
 def platform() -> str:

@@ -3,7 +3,7 @@
 For programs that run many times: unlike `jaxmpc.xla.once.JitOnce` it compiles with all optimisations.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from threading import Lock
 from typing import Any
 
@@ -16,8 +16,8 @@ class JitShared:
     def __init__(self, made: Callable[..., Callable[..., Any]]) -> None:
         """Wrap what makes a traceable function of arrays like those that it is given; it is asked once a kind."""
         self._made = made
-        self._compiled: dict[Any, Any] = {}
-        self._lock = Lock()
+        self._compiled: dict[Hashable, Any] = {}
+        self._locks: dict[Hashable, Lock] = {}
 
     def __call__(self, *args: Any) -> Any:
         """Compile if need be, and run."""
@@ -25,10 +25,9 @@ class JitShared:
 
     def compile(self, *args: Any) -> Callable[..., Any]:
         """Compile for arrays like these; a call with such arrays finds it done."""
-        leaves, tree = jax.tree.flatten(args)
-        kind = tree, tuple(map(jax.typeof, leaves))
+        kind = kind_of(args)
         if kind not in self._compiled:
-            with self._lock:
+            with self._locks.setdefault(kind, Lock()):
                 if kind not in self._compiled:
                     jitted: Any = jax.jit(self._made(*args))
                     jitted.lower(*args).compile()
@@ -40,3 +39,9 @@ class JitShared:
     def programs(self) -> int:
         """How many programs it has compiled."""
         return len(self._compiled)
+
+
+def kind_of(arguments: Any) -> Hashable:
+    """What tells arguments apart for which different programs are compiled: structure, shapes and types."""
+    leaves, tree = jax.tree.flatten(arguments)
+    return tree, tuple(map(jax.typeof, leaves))

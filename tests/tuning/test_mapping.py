@@ -17,7 +17,7 @@ from tuning.objective.loss import HEADROOM, Values, loss_of, value_and_gradient
 from tuning.objective.measures import Data
 from tuning.objective.problem import Problem, over_starts, problem_of, training
 from tuning.proof.gradients import on_tissue, slopes
-from tuning.search.corrected import REACH, minimised, values_and_slopes
+from tuning.search.corrected import REACH, minimised, rows_of, shared_of, values_and_slopes
 from tuning.search.mapping import Measured, corrected_at, correction, parents, refine, spectra_of
 from tuning.search.state import SearchState
 
@@ -55,7 +55,7 @@ def case() -> Case:
     def made() -> Case:
         met = training(spec, spec.tune.train_seeds)
         measuring = problem_of(spec, met)
-        spectra = spectra_of(spec, measuring, met)
+        spectra = spectra_of(spec, problem_of(spec, met, spectral=True), measuring.data.reference)
         measured = measuring.evaluate(z)
         return Case(spec, met, measuring, spectra, z, measured, correction(measured.cells, spectra.evaluate(z).cells))
 
@@ -87,15 +87,19 @@ def test_what_is_corrected_at_a_point_holds_for_each_tissue_alone(case: Case) ->
         np.testing.assert_allclose(corrected.evaluate(case.z).score[i], runs.score[i], rtol=1e-12)
 
 
+def evaluated(case: Case, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Risk and constraints of each point as its own run corrects them, with their slopes."""
+    program = values_and_slopes(case.spectra.structure, MOVED)
+    found: tuple[np.ndarray, np.ndarray] = program(
+        rows_of(case.spectra, x, case.z, case.factors), shared_of(case.spectra)
+    )
+    return found
+
+
 def limited(case: Case, rows: int, factors: Metrics) -> Data:
     """The spectra's data with a correction, and limits for so many points."""
     limits = {name: np.full(rows, float(limit)) for name, limit in case.spectra.data.margins.items()}
     return case.spectra.data._replace(margins=limits, hard={}, correction=factors)
-
-
-def first_of(factors: Metrics) -> Metrics:
-    one: Metrics = jax.tree.map(lambda field: field[:1], factors)
-    return one
 
 
 @pytest.mark.slow
@@ -125,13 +129,11 @@ def test_an_evaluation_is_a_look_without_its_gradient(case: Case) -> None:
 @in_float64
 def test_slopes_of_risk_and_of_every_constraint_are_central_differences(case: Case) -> None:
     """Step 1e-5: rounding and curvature leave some 1e-8 of the largest slope."""
-    data, program, h = limited(case, 1, first_of(case.factors)), values_and_slopes(case.spectra.structure, MOVED), 1e-5
-    z = case.z[0]
-    x = z[list(MOVED)]
-    slopes = np.asarray(program(x, z, data)[1])
-    sides = [[np.asarray(program(x + sign * h * e, z, data)[0]) for e in np.eye(len(x))] for sign in (1, -1)]
-    expected = (np.array(sides[0]) - np.array(sides[1])).T / (2.0 * h)
-    assert slopes.shape == (1 + 2 * len(case.spec.judged_at), len(x))
+    h, x = 1e-5, case.z[:, list(MOVED)]
+    slopes = evaluated(case, x)[1]
+    sides = [np.stack([evaluated(case, x + sign * h * e)[0] for e in np.eye(len(MOVED))], axis=2) for sign in (1, -1)]
+    expected = (sides[0] - sides[1]) / (2.0 * h)
+    assert slopes.shape == (len(x), 1 + 2 * len(case.spec.judged_at), len(MOVED))
     np.testing.assert_allclose(slopes, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
 
 
@@ -139,16 +141,16 @@ def test_slopes_of_risk_and_of_every_constraint_are_central_differences(case: Ca
 @in_float64
 def test_the_search_ends_where_another_solver_does(case: Case) -> None:
     """An interior-point method from the same place: log risks to 2e-3, less than a correction is good for."""
-    factors, z, moved = first_of(case.factors), case.z[0], list(MOVED)
-    data, program = limited(case, 1, factors), values_and_slopes(case.spectra.structure, MOVED)
-    found = minimised(case.spec, case.spectra, z, factors)
-    np.testing.assert_array_equal(np.delete(found, moved), np.delete(z, moved))
-    risk, *missed = np.asarray(program(found[moved], z, data)[0])
-    assert max(missed) <= 0.5 * HEADROOM
-    assert risk < np.asarray(program(z[moved], z, data)[0])[0] - 0.05
+    z, moved = case.z[0], list(MOVED)
+    whole = minimised(case.spec, case.spectra, case.z, case.factors)
+    np.testing.assert_array_equal(np.delete(whole, moved, axis=1), np.delete(case.z, moved, axis=1))
+    values, before = evaluated(case, whole[:, moved])[0], evaluated(case, case.z[:, moved])[0]
+    assert values[:, 1:].max() <= 0.5 * HEADROOM
+    risk = values[0, 0]
+    assert risk < before[0, 0] - 0.05
 
     def part(x: np.ndarray, which: int, rows: slice) -> np.ndarray:
-        return np.asarray(program(x, z, data)[which])[rows]
+        return evaluated(case, np.tile(x, (len(case.z), 1)))[which][0][rows]
 
     held = NonlinearConstraint(
         lambda x: part(x, 0, slice(1, None)), -np.inf, 0.0, jac=lambda x: part(x, 1, slice(1, None))

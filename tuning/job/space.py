@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 from jaxmpc.synthesis.params import Params
+from jaxmpc.xla.place import on_cpu
 
 Bounds = tuple[float, float]
 EDGE = 1e-3
@@ -147,6 +148,7 @@ class SearchSpace:
         moved = tuple(_moved(knot, values, width) for knot, values in zip(self.base.knots, knots, strict=True))
         return replace(_moved(self.base, own, width), guarded=False, knots=moved)
 
+    @on_cpu()
     def values(self, z: np.ndarray) -> np.ndarray:
         """Engineering values of vectors along the last dimension, horizons not rounded."""
         parts = [axis.value(jnp.asarray(z[..., part])) for axis, part in zip(self.axes, self._parts, strict=True)]
@@ -171,6 +173,7 @@ class SearchSpace:
             drawn[:, part] = axis.unconstrained(np.exp(along) if axis.log else along)
         return drawn
 
+    @on_cpu()
     def exact(self, z: np.ndarray) -> Params:
         """The controller that a vector stands for, horizons rounded, as plain arrays; guarded if the base is."""
         plain: Params = jax.tree.map(np.asarray, self.decode(jnp.asarray(z), 1.0))

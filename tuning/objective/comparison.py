@@ -21,8 +21,8 @@ from tuning.job.goals import OVERSHOOT, run_goals
 from tuning.job.scenarios import scene_over
 from tuning.job.spec import TuneSpec
 
-BLOCK = 12
-"""Scenarios that run at a time: one program serves any number of them."""
+BLOCK, KERNEL_BLOCK = 12, 48
+"""Scenarios that run at a time, in the kernel in the time of one: one program serves any number of them."""
 
 
 def compare(
@@ -54,14 +54,19 @@ def versus(
     Returns:
         Of the one before and of each candidate, every field (scenarios, stiffness, 3).
     """
-    if spec.met_before(met) == list(met):
-        runs = compare([spec.before, *candidates], met, show, spec.engine)
-    else:
-        pairs = ([spec.before], spec.met_before(met)), (candidates, met)
-        parts = [compare(controllers, scenes, show, spec.engine) for controllers, scenes in pairs]
-        runs = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
+    parts = [compare(*pair, show, spec.engine) for pair in pairs_of(spec, candidates, met)]
+    runs = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
     before, *each = (jax.tree.map(lambda field, i=i: field[i], runs) for i in range(1 + len(candidates)))
     return before, each
+
+
+def pairs_of(
+    spec: TuneSpec, candidates: Sequence[Params], met: Sequence[Experiment]
+) -> list[tuple[Sequence[Params], Sequence[Experiment]]]:
+    """A job's controller before tuning and others, each with what they meet; together where that is the same."""
+    if spec.met_before(met) == list(met):
+        return [([spec.before, *candidates], met)]
+    return [([spec.before], spec.met_before(met)), (candidates, met)]
 
 
 def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> np.ndarray:
@@ -79,18 +84,32 @@ def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> np.ndarray:
     return np.where(np.isnan(largest), np.inf, largest)
 
 
+def compile_ahead(controllers: Sequence[Params], experiments: Sequence[Experiment], engine: str | None = None) -> None:
+    """Compile what `compare` runs of such controllers in such scenarios."""
+    for rows in by_structure(controllers):
+        batch, world = Params.stack([controllers[i] for i in rows]), _world(experiments, engine)
+        _run.compile(batch, scene_over(_blocks(experiments, world)[0]), world)
+
+
 def _compare(batch: Params, experiments: Sequence[Experiment], show: bool, engine: str | None) -> Metrics:
-    world, count = named(fastest(program_spec(experiments[0])), engine), len(experiments)
-    block = min(BLOCK, count)
+    world, count = _world(experiments, engine), len(experiments)
     parts = []
     with progress("compare", count, "scenarios", show) as tick:
-        for first in range(0, count, block):
-            # The last block is filled up with its own last scenario.
-            rows = [experiments[min(first + i, count - 1)] for i in range(block)]
-            parts.append(jax.tree.map(np.asarray, _run(batch, scene_over(rows), world)))
-            tick(min(first + block, count), "")
+        for met in _blocks(experiments, world):
+            parts.append(jax.tree.map(np.asarray, _run(batch, scene_over(met), world)))
+            tick(min(len(met) * len(parts), count), "")
     found: Metrics = jax.tree.map(lambda *fields: np.concatenate(fields, axis=1)[:, :count], *parts)
     return found
+
+
+def _blocks(experiments: Sequence[Experiment], world: ProgramSpec) -> list[list[Experiment]]:
+    """Those that run together; the last block is filled up with its own last scenario."""
+    last, size = len(experiments) - 1, min(KERNEL_BLOCK if world.engine == "kernel" else BLOCK, len(experiments))
+    return [[experiments[min(first + i, last)] for i in range(size)] for first in range(0, len(experiments), size)]
+
+
+def _world(experiments: Sequence[Experiment], engine: str | None) -> ProgramSpec:
+    return named(fastest(program_spec(experiments[0])), engine)
 
 
 @partial(JitOnce, static_argnames=("world",))

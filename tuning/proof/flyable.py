@@ -1,5 +1,7 @@
 """Whether a tuned controller may fly: `jaxmpc freeze` itself is asked, with the robot's default limits."""
 
+import sys
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -30,3 +32,14 @@ def refusal(spec: TuneSpec, params: Params) -> str:
         except InputError as error:
             return str(error)
     return ""
+
+
+def rehearse(spec: TuneSpec) -> None:
+    """Compile what `refusal` runs: by freezing the controller that the search begins with, with a floor of no height.
+
+    Where that one is unstable, the rest compiles when it is needed.
+    """
+    if spec.experiment.limited:
+        with TemporaryDirectory() as folder, suppress(InputError):
+            anything = {"M_s": sys.float_info.max}
+            freeze_controller(Path(folder) / "controller.npz", spec.space.base, spec.experiment, anything, ideal=False)

@@ -12,6 +12,7 @@ from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.stability import Margins
 from jaxmpc.stability.family import family_margins, judged_where
 from jaxmpc.synthesis.params import Params
+from jaxmpc.xla.place import on_cpu
 from tuning.job.goals import GOALS, margin_goals
 from tuning.job.scenarios import scenarios
 from tuning.job.spec import TuneSpec
@@ -199,14 +200,20 @@ def assess(history: SearchHistory, show: bool = False) -> TuneResult:
     met = scenarios(spec.experiment, spec.scenarios, spec.tune.heldout_seeds)
     before, (after,) = versus(spec, [params], met, show)
     runs: Metrics = jax.tree.map(lambda *fields: np.stack(fields), before, after)
-    found: dict[str, Margins] = {}
-    for name, ideal in KINDS.items():
-        both = [margins(p, spec.judged_at, path=spec.experiment.loop_path(ideal)) for p in (spec.before, params)]
-        found[name] = jax.tree.map(lambda *fields: np.stack(fields), *both)
+    found = {name: _judged(spec, params, ideal) for name, ideal in KINDS.items()}
     known = _known(spec, spec.before), _known(spec, params)
     return TuneResult(spec, params, state.feasible, runs, found, history.steps, history.orders, known, refused)
 
 
+@on_cpu()
+def _judged(spec: TuneSpec, params: Params, ideal: bool) -> Margins:
+    """Margins of the controller before and of another, (2, judged_at)."""
+    both = [margins(p, spec.judged_at, path=spec.experiment.loop_path(ideal)) for p in (spec.before, params)]
+    found: Margins = jax.tree.map(lambda *fields: np.stack(fields), *both)
+    return found
+
+
+@on_cpu()
 def _known(spec: TuneSpec, params: Params) -> JudgedMargins | None:
     """Margins of a family with the stiffness known; None of a controller without knots."""
     if params.listening is None:

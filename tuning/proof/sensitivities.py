@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxmpc.xla.place import on_cpu
 from jaxmpc.xla.precision import in_float64
 from tuning.job.space import SearchSpace
 from tuning.proof.gradients import SCORE, Slope, on_tissue, sloped, slopes
@@ -55,6 +56,7 @@ def vector_of(result: TuneResult) -> Float[np.ndarray, " size"]:
     return nearest
 
 
+@on_cpu()
 def log_slopes(space: SearchSpace, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
     """d log parameter / dz of each unconstrained number; 0 at a bound."""
     at = jnp.asarray(z)

@@ -13,6 +13,7 @@ from jaxmpc.stability.family import gains_on
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.once import JitOnce
+from jaxmpc.xla.place import on_cpu
 from jaxmpc.xla.precision import in_float64
 from tuning.objective.problem import training
 from tuning.proof.result import TuneResult
@@ -33,6 +34,7 @@ class Split(NamedTuple):
     noise: Float[np.ndarray, "2 stiffness 3"]
 
 
+@on_cpu()
 @in_float64
 def split(result: TuneResult) -> Split:
     """The residual by its causes; NaN on a tissue where the loop is unstable."""

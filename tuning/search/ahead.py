@@ -4,8 +4,9 @@ To compile them takes as long as to descend on the spectra, which waits for noth
 """
 
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxmpc.beside import Beside
 from jaxmpc.xla.precision import in_float64
@@ -14,8 +15,8 @@ from tuning.objective.problem import Problem, problem_of, training
 from tuning.search import corrected
 from tuning.search.mapping import PROPOSED, spectra_of
 
-PROGRAMS = 4
-"""That `readied` compiles."""
+MOST = 4
+"""Programs that compile at a time: of eight on a GPU each takes twice as long."""
 
 
 class OnArm(NamedTuple):
@@ -28,33 +29,39 @@ class OnArm(NamedTuple):
 
 
 def threads() -> Beside:
-    """As many as there are programs, but for a core that the descent has."""
-    return Beside(min(PROGRAMS, max(1, len(os.sched_getaffinity(0)) - 1)))
+    """As many as there are cores, but for one that the descent has."""
+    return Beside(min(MOST, max(1, len(os.sched_getaffinity(0)) - 1)))
 
 
-def readied(spec: TuneSpec, pool: Executor) -> Future[OnArm]:
+def readied(spec: TuneSpec, own: Problem, pool: Executor, after: Sequence[Callable[[], None]] = ()) -> Future[OnArm]:
     """A job's problems; its programs then go on compiling, and who needs one meanwhile waits for that one.
 
     A program that fails to compile here fails again where it is needed, and is heard of there.
 
     Args:
         spec: The job.
+        own: By spectra, as the descent has it.
         pool: Threads to do it.
+        after: What else to do there, when that is done.
     """
     rows = PROPOSED * spec.tune.starts
+    # But for what ratios are taken to, which the runs tell: to compile, its shape is enough.
+    spectra = spectra_of(spec, own, own.data.reference)
 
-    @in_float64  # which is a thread's own
     def ready() -> OnArm:
-        met = training(spec, spec.tune.train_seeds)
-        runs = problem_of(spec, met, evaluated=True)
-        found = OnArm(runs, spectra_of(spec, runs, met))
+        runs = problem_of(spec, training(spec, spec.tune.train_seeds), evaluated=True)
         for program in (
-            lambda: found.runs.compile_evaluation(rows),
-            lambda: corrected.compile_ahead(spec, found.spectra),
-            lambda: found.spectra.compile_evaluation(rows),
-            lambda: found.spectra.compile_slopes(rows),
+            lambda: runs.compile_evaluation(rows),
+            *after,
+            lambda: spectra.compile_slopes(rows),
         ):
-            pool.submit(in_float64(program))
-        return found
+            do(program)
+        return OnArm(runs, spectra_of(spec, own, runs.data.reference))
 
-    return pool.submit(ready)
+    def do(task: Callable[[], Any]) -> Future[Any]:
+        return pool.submit(in_float64(task))  # which is a thread's own
+
+    found = do(ready)
+    do(lambda: corrected.compile_ahead(spec, spectra, rows))
+    do(lambda: spectra.compile_evaluation(rows))
+    return found

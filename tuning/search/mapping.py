@@ -11,8 +11,6 @@ Source: J. W. Bandler et al., Space Mapping: The State of the Art, IEEE Trans. M
 2004; there "output space mapping".
 """
 
-from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,15 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxmpc.beside import Beside
-from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.terminal.progress import progress
-from jaxmpc.xla.precision import in_float64
 from tuning.job.spec import TuneSpec
 from tuning.objective.loss import Values
 from tuning.objective.measures import with_stand_ins
-from tuning.objective.problem import Problem, problem_of
+from tuning.objective.problem import Problem, judged_cells
 from tuning.search.corrected import minimised
 from tuning.search.optimise import WORTH, note
 from tuning.search.state import SearchState, load, save
@@ -82,8 +77,7 @@ def refine(
     state = SearchState.new(z, _nothing(rounds * len(z), z.shape[1], problem), rounds, goals)
     if folder is not None:
         state = load(folder, spec.digest, state, name)
-    cores = len(jax.local_devices())
-    with progress("tune (mapping)", rounds, "rounds", show) as tick, Beside(cores) as pool:
+    with progress("tune (mapping)", rounds, "rounds", show) as tick:
         while state.iteration < rounds and not state.stalled(PATIENCE, 0):
             values = problem.evaluate(state.z)
             state.record(values, exact=True, worth=WORTH)
@@ -94,20 +88,26 @@ def refine(
             if not beginnings:
                 break
             if state.iteration < rounds:
-                state.z = np.stack(list(pool.map(partial(_proposal, spec, spectra, state.memory), beginnings)))
+                followed, begin = zip(*beginnings, strict=True)
+                factors = jax.tree.map(lambda field, rows=list(followed): field[rows], state.memory.correction)
+                state.z = minimised(spec, spectra, np.stack(begin), factors)
             if folder is not None:
                 save(folder, spec.digest, state, name)
     return state
 
 
-def spectra_of(spec: TuneSpec, problem: Problem, met: Sequence[Experiment]) -> Problem:
+def spectra_of(spec: TuneSpec, own: Problem, reference: Metrics) -> Problem:
     """A job by spectra, with what ratios are taken to as its problem by runs has it, and but for families margins.
 
     Between its knots a family differs little from what it is at them, and all their slopes take long.
+
+    Args:
+        spec: The job.
+        own: Its problem by spectra, as the descent has it.
+        reference: That of its problem by runs.
     """
-    own = problem_of(spec, met, spectral=True)
-    at = problem.data.judged_at if own.data.believed is None else own.data.judged_at
-    return own._replace(data=own.data._replace(judged_at=at, reference=problem.data.reference))
+    at = jnp.asarray(judged_cells(spec, coarse=False)[0]) if own.data.believed is None else own.data.judged_at
+    return own._replace(data=own.data._replace(judged_at=at, reference=reference))
 
 
 def correction(fine: Metrics, coarse: Metrics) -> Metrics:
@@ -149,15 +149,6 @@ def parents(measured: Measured, count: int, after: int, seed: int) -> list[tuple
     random = np.random.Generator(np.random.Philox([seed, STREAM, after]))
     near = SPREAD * random.normal(size=(count, measured.z.shape[1]))
     return [(int(k), measured.z[k] + away) for k, away in zip(chosen, near, strict=True)]
-
-
-@in_float64  # which is a thread's own
-def _proposal(
-    spec: TuneSpec, spectra: Problem, measured: Measured, beginning: tuple[int, Float[np.ndarray, " size"]]
-) -> Float[np.ndarray, " size"]:
-    parent, begin = beginning
-    factors: Metrics = jax.tree.map(lambda field: field[parent : parent + 1], measured.correction)
-    return minimised(spec, spectra, begin, factors)
 
 
 def _nothing(points: int, size: int, problem: Problem) -> Measured:

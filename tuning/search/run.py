@@ -1,5 +1,6 @@
 """The way to a controller: a descent from many points; for the arm it is one on spectra, and then the arm runs."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,13 +47,16 @@ class SearchHistory(NamedTuple):
     """Score of each disturbance order after its descent [-]; ∞ where nothing held the hard goals."""
 
 
-def run_search(spec: TuneSpec, folder: Path | None = None, show: bool = False) -> SearchHistory:
+def run_search(
+    spec: TuneSpec, folder: Path | None = None, show: bool = False, after: Sequence[Callable[[], None]] = ()
+) -> SearchHistory:
     """Descend from many points; on the arm that is done on spectra, which runs then correct.
 
     Args:
         spec: The job.
         folder: Where the states are kept, from which the same call continues; None keeps none.
         show: Whether to show progress.
+        after: On the arm done beside it, such as compiling what comes after it.
 
     Raises:
         InputError: The fixed gains of a family, which stay, miss a hard goal already.
@@ -60,9 +64,10 @@ def run_search(spec: TuneSpec, folder: Path | None = None, show: bool = False) -
     _check_fixed(spec)
     jobs = [spec.with_order(order) for order in spec.tune.orders] or [spec]
     with threads() as pool:
+        problems = [problem_of(job, training(job, job.tune.train_seeds), spectral=job.on_arm) for job in jobs]
         # Of several, nobody knows which will win.
-        ahead = readied(jobs[0], pool) if spec.on_arm and len(jobs) == 1 else None
-        firsts = [proposal(job, folder, show) for job in jobs]
+        ahead = readied(jobs[0], problems[0], pool, after) if spec.on_arm and len(jobs) == 1 else None
+        firsts = [proposal(job, problem, folder, show) for job, problem in zip(jobs, problems, strict=True)]
         orders = {
             int(job.params.disturbance_order): float(one.state.best.min())
             for job, one in zip(jobs, firsts, strict=True)
@@ -70,16 +75,15 @@ def run_search(spec: TuneSpec, folder: Path | None = None, show: bool = False) -
         best = int(np.argmin(list(orders.values())))
         job, steps = jobs[best], [firsts[best]]
         if job.on_arm:
-            runs, spectra = (ahead or readied(job, pool)).result()
+            runs, spectra = (ahead or readied(job, problems[best], pool, after)).result()
             z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)
             state = refine(job, runs, spectra, z, folder, _file("mapping", job), show)
             steps.append(Step("mapping", runs, state, spectra))
     return SearchHistory(job, steps, orders)
 
 
-def proposal(spec: TuneSpec, folder: Path | None, show: bool) -> Step:
+def proposal(spec: TuneSpec, problem: Problem, folder: Path | None, show: bool) -> Step:
     """The descent: from the given parameters and from random ones, horizons first soft."""
-    problem = problem_of(spec, training(spec, spec.tune.train_seeds), spectral=spec.on_arm)
     z = screened(spec, problem, COARSE * spec.tune.starts if spec.on_arm else spec.tune.starts, show)
     soft = bool(spec.space.whole.any())
     plan = schedule(spec.tune.steps, soft, spec.tune.learning_rate)
