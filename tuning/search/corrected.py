@@ -28,7 +28,7 @@ from tuning.search.in_step import Evaluated, in_step
 REACH = 1.0
 """How far a search may go from where it begins, per unconstrained number: beyond, a correction says little."""
 ITERATIONS, MOST = 20, 30
-"""Of which each takes one evaluation, unless a line search finds nothing: the others wait for no more than these."""
+"""Most iterations and evaluations of a search: one takes one, unless a line search finds nothing, and others wait."""
 TOLERANCE = 1e-4
 """Change of the log risk at which it stops [-]: corrections are good to some per cent."""
 

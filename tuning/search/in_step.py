@@ -16,7 +16,7 @@ from jaxmpc.xla.precision import in_float64
 Evaluated = tuple[np.ndarray, ...]
 """What is found of a point."""
 Search = Callable[[np.ndarray, Callable[[np.ndarray], Evaluated]], Any]
-"""Of where it begins, (size,), and of what evaluates a point; returns what it has found."""
+"""A function of where it begins, (size,), and of what evaluates a point; it returns what it has found."""
 
 
 def in_step(
