@@ -50,7 +50,7 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
-    result = assess(run_search(spec, place, progress, programs(spec)), progress)
+    result = assess(run_search(spec, place, progress, programs), progress)
     if place is not None:
         write(result, place)
     return result

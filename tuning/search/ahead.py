@@ -17,6 +17,7 @@ from tuning.search.mapping import PROPOSED, spectra_of
 
 MOST = 4
 """Programs that compile at a time: of eight on a GPU each takes twice as long."""
+Tasks = Sequence[Callable[[], None]]
 
 
 class OnArm(NamedTuple):
@@ -33,7 +34,7 @@ def threads() -> Beside:
     return Beside(min(MOST, max(1, len(os.sched_getaffinity(0)) - 1)))
 
 
-def readied(spec: TuneSpec, own: Problem, pool: Executor, after: Sequence[Callable[[], None]] = ()) -> Future[OnArm]:
+def readied(spec: TuneSpec, own: Problem, pool: Executor, after: Tasks = ()) -> Future[OnArm]:
     """A job's problems; its programs then go on compiling, and who needs one meanwhile waits for that one.
 
     A program that fails to compile here fails again where it is needed, and is heard of there.

@@ -1,6 +1,6 @@
 """The way to a controller: a descent from many points; for the arm it is one on spectra, and then the arm runs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from jaxmpc.quantities import MARGINS
 from jaxmpc.terminal.progress import progress
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
-from tuning.search.ahead import readied, threads
+from tuning.search.ahead import Tasks, readied, threads
 from tuning.search.mapping import PROPOSED, refine
 from tuning.search.optimise import descend, schedule
 from tuning.search.state import SearchState
@@ -48,7 +48,7 @@ class SearchHistory(NamedTuple):
 
 
 def run_search(
-    spec: TuneSpec, folder: Path | None = None, show: bool = False, after: Sequence[Callable[[], None]] = ()
+    spec: TuneSpec, folder: Path | None = None, show: bool = False, after: Callable[[TuneSpec], Tasks] = lambda _: ()
 ) -> SearchHistory:
     """Descend from many points; on the arm that is done on spectra, which runs then correct.
 
@@ -56,7 +56,7 @@ def run_search(
         spec: The job.
         folder: Where the states are kept, from which the same call continues; None keeps none.
         show: Whether to show progress.
-        after: On the arm done beside it, such as compiling what comes after it.
+        after: What to do of a job on the arm beside its search, such as compiling what comes after that.
 
     Raises:
         InputError: The fixed gains of a family, which stay, miss a hard goal already.
@@ -66,7 +66,7 @@ def run_search(
     with threads() as pool:
         problems = [problem_of(job, training(job, job.tune.train_seeds), spectral=job.on_arm) for job in jobs]
         # Of several, nobody knows which will win.
-        ahead = readied(jobs[0], problems[0], pool, after) if spec.on_arm and len(jobs) == 1 else None
+        ahead = readied(jobs[0], problems[0], pool, after(jobs[0])) if spec.on_arm and len(jobs) == 1 else None
         firsts = [proposal(job, problem, folder, show) for job, problem in zip(jobs, problems, strict=True)]
         orders = {
             int(job.params.disturbance_order): float(one.state.best.min())
@@ -75,7 +75,7 @@ def run_search(
         best = int(np.argmin(list(orders.values())))
         job, steps = jobs[best], [firsts[best]]
         if job.on_arm:
-            runs, spectra = (ahead or readied(job, problems[best], pool, after)).result()
+            runs, spectra = (ahead or readied(job, problems[best], pool, after(job))).result()
             z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)
             state = refine(job, runs, spectra, z, folder, _file("mapping", job), show)
             steps.append(Step("mapping", runs, state, spectra))
