@@ -4,7 +4,6 @@ The public function is `jaxmpc.margins`; stability comes first in it: an unstabl
 margins and the status UNSTABLE, since its peak over frequency can look fine.
 """
 
-from threading import Lock
 from typing import Any, NamedTuple
 
 import jax
@@ -158,7 +157,6 @@ def _margins_of_block(cells: Cells, cuts_at_a: Any) -> Margins:
 
 
 _block = JitOnce(_margins_of_block)
-_compiling = Lock()
 
 
 def margins_of_cells(cells: Cells, *, ideal: bool) -> Margins:
@@ -172,9 +170,7 @@ def margins_of_cells(cells: Cells, *, ideal: bool) -> Margins:
     count, whole = len(cells.residual), padded(cells, CELLS)
     cuts = jnp.array([0.0, 0.0 if ideal else 1.0])
     blocks = reshaped(whole, 1, -1, CELLS)
-    # Who comes while it is being compiled waits for it rather than compile it too.
-    with _compiling:
-        parts = [_block(jax.tree.map(lambda leaf, i=i: leaf[i], blocks), cuts) for i in range(-(-count // CELLS))]
+    parts = [_block(jax.tree.map(lambda leaf, i=i: leaf[i], blocks), cuts) for i in range(-(-count // CELLS))]
     joined: Margins = jax.tree.map(lambda *rows: jnp.asarray(np.concatenate(rows)[:count]), *parts)
     return joined
 

@@ -6,7 +6,7 @@ To compile them takes as long as to descend on the spectra, which waits for noth
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxmpc.beside import Beside
 from jaxmpc.xla.precision import in_float64
@@ -46,23 +46,19 @@ def readied(spec: TuneSpec, own: Problem, pool: Executor, after: Tasks = ()) -> 
         after: What else to do there, when that is done.
     """
     rows = PROPOSED * spec.tune.starts
-    # But for what ratios are taken to, which the runs tell: to compile, its shape is enough.
-    spectra = spectra_of(spec, own, own.data.reference)
 
+    @in_float64  # which is a thread's own
     def ready() -> OnArm:
         runs = problem_of(spec, training(spec, spec.tune.train_seeds), evaluated=True)
+        found = OnArm(runs, spectra_of(spec, own, runs.data.reference))
         for program in (
-            lambda: runs.compile_evaluation(rows),
+            lambda: found.runs.compile_evaluation(rows),
+            lambda: corrected.compile_ahead(spec, found.spectra, rows),
+            lambda: found.spectra.compile_evaluation(rows),
             *after,
-            lambda: spectra.compile_slopes(rows),
+            lambda: found.spectra.compile_slopes(rows),
         ):
-            do(program)
-        return OnArm(runs, spectra_of(spec, own, runs.data.reference))
+            pool.submit(in_float64(program))
+        return found
 
-    def do(task: Callable[[], Any]) -> Future[Any]:
-        return pool.submit(in_float64(task))  # which is a thread's own
-
-    found = do(ready)
-    do(lambda: corrected.compile_ahead(spec, spectra, rows))
-    do(lambda: spectra.compile_evaluation(rows))
-    return found
+    return pool.submit(ready)

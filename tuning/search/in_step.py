@@ -4,13 +4,13 @@ SciPy calls the function that it minimises; on a GPU a call for eight points tak
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier, BrokenBarrierError
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxmpc.beside import Beside
 from jaxmpc.xla.precision import in_float64
 
 Evaluated = tuple[np.ndarray, ...]
@@ -63,7 +63,7 @@ def in_step(
             raise
         return result
 
-    with ThreadPoolExecutor(len(points)) as threads:
+    with Beside(len(points)) as threads:
         ended = [threads.submit(one, row) for row in range(len(points))]
     failed = [error for each in ended if (error := each.exception())]
     for error in sorted(failed, key=lambda error: isinstance(error, BrokenBarrierError)):
