@@ -4,9 +4,14 @@ import gc
 import os
 from collections.abc import Iterator
 from importlib.util import find_spec
+from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+
+MAPPINGS = 20_000
+"""Pieces of memory above which compiled programs are let go, some twenty each: of 65 530 Linux gives no more, and XLA,
+which does not look, crashes or waits forever."""
 
 if find_spec("jax"):
     # The user's cache is not ours to fill, nor is that of an earlier run to be trusted: what one process of this run
@@ -65,3 +70,12 @@ def traced_anew() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(store, "keep_in", lambda folder: keep_in(None))
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def room_for_programs() -> Iterator[None]:
+    """Let go what earlier files have compiled, before there is too much of it."""
+    yield
+    mapped = Path("/proc/self/maps")
+    if find_spec("jax") and mapped.exists() and mapped.read_bytes().count(b"\n") > MAPPINGS:
+        jax.clear_caches()
