@@ -1,7 +1,14 @@
-"""Threads for what goes on beside the rest, such as compiling."""
+"""Threads and a process for what goes on beside the rest, such as compiling; who fails does not wait for them."""
 
+import signal
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from types import TracebackType
+from typing import Any, Self
+
+from jaxmpc.terminal.process import silence_libraries
 
 
 class Beside(ThreadPoolExecutor):
@@ -12,3 +19,58 @@ class Beside(ThreadPoolExecutor):
     ) -> None:
         """Wait for them, unless Ctrl-C has struck, or something has failed whose user would wait minutes for a word."""
         self.shutdown(wait=kind is None, cancel_futures=kind is not None)
+
+
+class Apart:
+    """A process that calls one function, for what keeps Python busy: threads take turns there.
+
+    It ends with its block. What it is given and what comes of it are copies.
+    """
+
+    def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Begin.
+
+        Args:
+            function: Of a module.
+            *arguments: Its arguments.
+        """
+        context = get_context("spawn")
+        self._answer, answer = context.Pipe(duplex=False)
+        self._process = context.Process(target=_answered, args=(answer, function, arguments), daemon=True)
+        # Ctrl-C strikes every process of a terminal; this one inherits that it does not hear it, and is told to end.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        self._process.start()
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        answer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it, whether it is done or not."""
+        self._process.terminate()
+        self._process.join()
+
+    def result(self) -> Any:
+        """What the function returns, once it does.
+
+        Raises:
+            Exception: What the function has raised.
+            ChildProcessError: The process has ended before, as by a lack of memory.
+        """
+        try:
+            failed, found = self._answer.recv()
+        except EOFError:
+            self._process.join()
+            raise ChildProcessError(f"a process has ended with code {self._process.exitcode}") from None
+        if failed:
+            raise found
+        return found
+
+
+def _answered(answer: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    silence_libraries()
+    try:
+        answer.send((False, function(*arguments)))
+    except Exception as error:  # it is raised where the result is asked for
+        answer.send((True, error))

@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmpc.beside import Beside
+from jaxmpc.beside import Apart
 from jaxmpc.cli.demo_summary import SETTLE, STIFFNESS, Arm, band, errors, millinewtons, summary, worst_tables
 from jaxmpc.files.sealed import write_atomic
 
@@ -47,12 +47,8 @@ def run(args: argparse.Namespace) -> int:
     folder: Path = args.output
     check_folder("-o", folder)
     folder.mkdir(parents=True, exist_ok=True)
-    with Beside(1) as beside:
-        # What takes longest, compiling and then the flight, goes on beside the rest: one thing after another, each of
-        # what the one before it has made.
-        simulated = beside.submit(_on_arm)
-        frozen = beside.submit(lambda: _freeze(folder, simulated.result()))
-        flown = beside.submit(lambda: _fly(folder, simulated.result()))
+    # All of the arm goes on beside the rest: a flight is as much Python as tuning is.
+    with Apart(_of_the_arm, folder) as on_the_arm:
         with _step("1/6 the paper's design, both parameter sets, on Table I of the linear loop"):
             _paper(Params.published("text"), Params.published("printed"))
         with _step("2/6 linear loop, without the robot's limits: a sweep of 5120 controllers × 3 tissues"):
@@ -63,13 +59,11 @@ def run(args: argparse.Namespace) -> int:
             print(tuned.unmet())
             return 1
         with _step("4/6 the arm within the robot's limits: text design, and a family that finds the stiffness"):
-            arm = simulated.result()
+            arm, artifact, flight = on_the_arm.result()
             _tell_arm(arm)
         with _step("5/6 freeze that family for the robot"):
-            artifact = frozen.result()
             _tell_frozen(folder, artifact)
         with _step("6/6 fly it in lock-step over the twin's beating heart, and replay the flight"):
-            flight = flown.result()
             _tell_flight(folder, arm, flight)
             same = _replay(folder, artifact)
     summary(folder, swept, tuned, arm, artifact, flight, time.monotonic() - began)
@@ -131,6 +125,16 @@ def _tune(folder: Path) -> "TuneResult":
     print(report(result, columns_of_output()))
     history_figure(result, folder / "tuning-history.png")
     return result
+
+
+def _of_the_arm(folder: Path) -> "tuple[Arm, Artifact, TwinFlight]":
+    """Simulate, freeze and fly, each with what the one before it has made; in a process of its own."""
+    from jaxmpc.terminal.process import use_all_cores
+
+    use_all_cores()
+    arm = _on_arm()
+    artifact = _freeze(folder, arm)
+    return arm, artifact, _fly(folder, arm)
 
 
 def _on_arm() -> Arm:

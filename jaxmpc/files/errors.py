@@ -1,7 +1,7 @@
 """Wrong input, said in one sentence that names the key, the value, the bound and the remedy."""
 
 import textwrap
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,10 @@ class InputError(ValueError):
 
     def __repr__(self) -> str:
         return textwrap.fill(f"InputError: {self}", 100, subsequent_indent="  ")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Parts of a copy for another process; an exception's own are what it was called with by place."""
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))
 
     def at(self, file: Path, line: int | None = None) -> "InputError":
         """The same error, placed in a file."""

@@ -1,5 +1,6 @@
 """What the demo tells, on terminals of 60, 80 and 120 columns, with numbers made by hand; nothing is computed."""
 
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -70,14 +71,15 @@ def nothing_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     tuned = SimpleNamespace(feasible=True, worst=(0.0474, 0.0254), margins={"as run": margins})
     swept = SimpleNamespace(best=lambda *_: Best())
 
-    def frozen(folder: Path, _: Arm) -> Any:
+    def of_the_arm(folder: Path) -> Any:
         (folder / "controller.npz").write_bytes(bytes(98_765))
-        return artifact()
+        return arm(), artifact(), flight()
 
-    made = {"_paper": None, "_sweep": swept, "_tune": tuned, "_on_arm": arm(), "_fly": flight(), "_replay": True}
-    for name, found in made.items():
+    for name, found in {"_paper": None, "_sweep": swept, "_tune": tuned, "_replay": True}.items():
         monkeypatch.setattr(demo, name, lambda *_, found=found: found)
-    monkeypatch.setattr(demo, "_freeze", frozen)
+    monkeypatch.setattr(
+        demo, "Apart", lambda _, folder: nullcontext(SimpleNamespace(result=lambda: of_the_arm(folder)))
+    )
 
 
 @pytest.mark.usefixtures("nothing_runs")

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -136,8 +137,8 @@ def _nothing_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is written is the matter here: trials that nobody flies, no arm in the demo, no law of JAX in a replay."""
     monkeypatch.setattr(trials, "outcomes_of", outcomes_of)
     monkeypatch.setattr("tuning.trials.cli._margins", lambda *_: [])
-    for name in ("_paper", "_on_arm", "_freeze"):
-        monkeypatch.setattr(f"jaxmpc.cli.demo.{name}", lambda *_: None)
+    monkeypatch.setattr("jaxmpc.cli.demo.Apart", lambda *_: nullcontext())
+    monkeypatch.setattr("jaxmpc.cli.demo._paper", lambda *_: None)
     monkeypatch.setattr("jaxmpc.export.replay.replay_law", lambda *_: {})
 
 
@@ -278,16 +279,19 @@ def test_ctrl_c_is_heard_where_python_can_raise_nothing() -> None:
 
 
 @pytest.mark.parametrize(("strike", "code"), [("KeyboardInterrupt", 130), ("OSError", 1)])
-def test_a_process_that_fails_ends_while_a_thread_still_works(strike: str, code: int) -> None:
+@pytest.mark.parametrize("busy", ["Beside(1)", "Apart(time.sleep, 60.0)"])
+def test_a_process_that_fails_ends_while_another_or_a_thread_still_works(busy: str, strike: str, code: int) -> None:
+    """And ends the other, or a pipe that both hold would be waited for."""
     script = f"""
 import time
 import jaxmpc.__main__ as program
-from jaxmpc.beside import Beside
+from jaxmpc.beside import Apart, Beside
 
 def main():
     try:
-        with Beside(1) as beside:
-            beside.submit(time.sleep, 60.0)
+        with {busy} as other:
+            if isinstance(other, Beside):
+                other.submit(time.sleep, 60.0)
             raise {strike}
     except {strike}:
         return {code}
@@ -296,8 +300,8 @@ program.main = main
 program.program()
 """
     variables = {**os.environ, "PYTHONPATH": str(ROOT)}
-    ran = subprocess.run([sys.executable, "-c", script], env=variables, check=False, timeout=30.0)
-    assert ran.returncode == code
+    ran = subprocess.run([sys.executable, "-c", script], env=variables, capture_output=True, check=False, timeout=30.0)
+    assert (ran.returncode, ran.stderr) == (code, b"")
 
 
 def test_ctrl_c_while_a_verb_is_imported_is_one_line(

@@ -1,0 +1,76 @@
+"""A process of its own gives back what comes of it, tells what fails in it, and hears no Ctrl-C."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxmpc.beside import Apart
+from jaxmpc.files.errors import InputError
+from tests.sources import ROOT
+
+STRUCK = """
+import os, signal, time
+import jaxmpc.__main__ as program
+from jaxmpc.beside import Apart
+
+def main():
+    try:
+        with Apart(time.sleep, 60.0) as other:
+            print(other._process.pid, flush=True)
+            other.result()
+    except KeyboardInterrupt:
+        return 130
+
+program.main = main
+program.program()
+"""
+
+
+def wrong(path: Path) -> None:
+    raise InputError("seed", -1, bound="positive", remedy="Take another.", file=path)
+
+
+def test_it_returns_what_the_function_returns() -> None:
+    with Apart(np.linspace, 0.0, 1.0, 100_000) as apart:
+        np.testing.assert_array_equal(apart.result(), np.linspace(0.0, 1.0, 100_000))
+
+
+def test_wrong_input_is_told_as_it_would_be_here(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as told:
+        wrong(tmp_path)
+    with Apart(wrong, tmp_path) as apart, pytest.raises(InputError) as found:
+        apart.result()
+    assert str(found.value) == str(told.value)
+
+
+def test_one_that_is_killed_is_told() -> None:
+    with Apart(os._exit, 7) as apart, pytest.raises(ChildProcessError, match="code 7"):
+        apart.result()
+
+
+def test_its_end_does_not_wait_for_the_function() -> None:
+    began = time.monotonic()
+    with Apart(time.sleep, 60.0):
+        pass
+    assert time.monotonic() - began < 30.0
+
+
+@pytest.mark.parametrize("after", [0.0, 1.5], ids=["while it begins", "while it works"])
+def test_ctrl_c_on_a_terminal_ends_both_without_a_word(after: float) -> None:
+    variables = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", STRUCK], env=variables, start_new_session=True, **pipes) as process:
+        assert process.stdout is not None
+        other = int(process.stdout.readline())
+        time.sleep(after)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=30.0)
+    assert (process.returncode, said) == (130, "")
+    with pytest.raises(ProcessLookupError):
+        os.kill(other, 0)
