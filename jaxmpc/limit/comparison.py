@@ -14,9 +14,9 @@ from jaxmpc.limit.least import LINES, ROBOT, Demands, Limit, least
 from jaxmpc.quantities import AXES
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
 from jaxmpc.stability import margins
+from jaxmpc.stability.controller import controller_response
 from jaxmpc.stability.family import family_margins, gains_on
 from jaxmpc.stability.loop import contact_of
-from jaxmpc.stability.response import controller_response
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.precision import in_float64

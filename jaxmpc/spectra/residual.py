@@ -21,7 +21,8 @@ from jaxtyping import Array, Complex, Float
 
 from jaxmpc.law.gains import Gains
 from jaxmpc.spectra.spectrum import Spectrum
-from jaxmpc.stability.response import ClosedLoop, Response, closed_loop
+from jaxmpc.stability.controller import Response
+from jaxmpc.stability.response import ClosedLoop, closed_loop
 from jaxmpc.world.contact import Contact
 
 LOWEST, BEND, POINTS = 1e-3, 0.2, 96

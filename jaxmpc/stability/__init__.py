@@ -14,10 +14,11 @@ from jaxtyping import Array, Float, Int
 from jaxmpc import described
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.gains import Gains
+from jaxmpc.stability.controller import TransferFunction, controller_of
 from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
 from jaxmpc.stability.held_beat import HeldBeat
 from jaxmpc.stability.loop import closed_loop_matrix, contacts_between, spectral_radius
-from jaxmpc.stability.response import loop_response
+from jaxmpc.stability.response import loop_around
 from jaxmpc.status import Status
 from jaxmpc.synthesis import designed
 from jaxmpc.synthesis.params import Params
@@ -133,13 +134,16 @@ def _cuts(ideal: bool) -> Array:
 def _margins_cut(cell: Cells, cuts_at_a: Any) -> Margins:
     """Margins of one cell at the worst of the cuts, (cuts,): 1 at a, 0 at v."""
     gains, contact, residual, held = cell
-    radius = spectral_radius(closed_loop_matrix(gains, contact, held))
+    radius, controller = (
+        spectral_radius(closed_loop_matrix(gains, contact, held)),
+        controller_of(gains, held is not None),
+    )
 
     def margins_at(cut: Any) -> LoopMargins:
-        def loop(g: Gains, c: Contact, h: HeldBeat | None) -> Loop:
-            return lambda theta, late=None: loop_response(g, c, theta, cut, late, h)
+        def loop(one: TransferFunction, c: Contact, h: HeldBeat | None) -> Loop:
+            return lambda theta, late=None: loop_around(one, c, theta, cut, late, h)
 
-        parts = gains, contact, held
+        parts = controller, contact, held
         return loop_margins(loop(*parts), loop(*jax.lax.stop_gradient(parts)), contact.T_s)
 
     cuts = jax.vmap(margins_at)(cuts_at_a)

@@ -17,8 +17,8 @@ from jaxmpc import Experiment, InputError, Params, design
 from jaxmpc.law import cascade, gain_backoff, schedule
 from jaxmpc.law.gains import Gains, backed_off, constant_reference, with_gain
 from jaxmpc.law.ops import FLOATS
+from jaxmpc.stability.controller import controller_response
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
-from jaxmpc.stability.response import controller_response
 from jaxmpc.xla import ops
 from jaxmpc.xla.precision import in_float64
 from tuning.trials import HARD, Job, run

@@ -10,9 +10,10 @@ import scipy.linalg
 
 from jaxmpc import Experiment, InputError, Params, design, margins
 from jaxmpc.law import chain as arm
+from jaxmpc.stability.controller import controller_response
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.presliding import on_spring, presliding_frequencies, presliding_peak
-from jaxmpc.stability.response import controller_response, tip_response
+from jaxmpc.stability.response import tip_response
 from jaxmpc.world import contact
 from jaxmpc.world.arm import chain
 from jaxmpc.world.loop_path import loop_path

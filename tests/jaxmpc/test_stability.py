@@ -15,9 +15,10 @@ from jaxmpc import InputError, Params, Status, design, margins, stability
 from jaxmpc.law import cascade
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.stability import CELLS
+from jaxmpc.stability.controller import filter_response
 from jaxmpc.stability.crossings import loop_margins
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius, transition_matrix
-from jaxmpc.stability.response import filter_response, loop_response
+from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis import design_one
 from jaxmpc.world.contact import hertz, move, sense
 from jaxmpc.world.contact import init as begin_contact

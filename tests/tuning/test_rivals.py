@@ -14,8 +14,8 @@ from benchmarks.rivals.room import shares, vectors
 from jaxmpc.experiment import Experiment
 from jaxmpc.law import cascade
 from jaxmpc.law.gains import Gains, constant_reference
+from jaxmpc.stability.controller import controller_response
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius
-from jaxmpc.stability.response import controller_response
 from jaxmpc.world.loop_path import loop_path
 from tuning import TuneSpec
 from tuning.objective.loss import loss_of
