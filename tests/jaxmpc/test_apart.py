@@ -15,9 +15,12 @@ from jaxmpc.files.errors import InputError
 from tests.sources import ROOT
 
 STRUCK = """
-import os, signal, time
+import signal, time
 import jaxmpc.__main__ as program
 from jaxmpc.beside import Apart
+
+# As on a terminal: what a shell has put into the background ignores it, and so does all that it starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def main():
     try:
