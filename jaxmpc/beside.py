@@ -39,8 +39,10 @@ class Apart:
         self._process = context.Process(target=_answered, args=(answer, function, arguments), daemon=True)
         # Ctrl-C strikes every process of a terminal; this one inherits that it does not hear it, and is told to end.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        self._process.start()
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         answer.close()
 
     def __enter__(self) -> Self:

@@ -134,10 +134,8 @@ def _cuts(ideal: bool) -> Array:
 def _margins_cut(cell: Cells, cuts_at_a: Any) -> Margins:
     """Margins of one cell at the worst of the cuts, (cuts,): 1 at a, 0 at v."""
     gains, contact, residual, held = cell
-    radius, controller = (
-        spectral_radius(closed_loop_matrix(gains, contact, held)),
-        controller_of(gains, held is not None),
-    )
+    radius = spectral_radius(closed_loop_matrix(gains, contact, held))
+    controller = controller_of(gains, held is not None)
 
     def margins_at(cut: Any) -> LoopMargins:
         def loop(one: TransferFunction, c: Contact, h: HeldBeat | None) -> Loop:

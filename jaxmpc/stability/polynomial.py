@@ -1,7 +1,8 @@
 """Polynomials in d = 1 − z⁻¹, so that what tends to zero with the frequency keeps its digits.
 
 With its coefficients at hand, an answer of the law takes few operations at each angle. Programs look at a loop in a
-dozen places: they have three quarters of the operations, and compile in two thirds of the time.
+dozen places: they have three quarters of the operations, and compile in two thirds of the time. Numpy's own polynomials
+ask coefficients for their values, which traced ones do not have.
 """
 
 from itertools import zip_longest
