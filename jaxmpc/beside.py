@@ -3,7 +3,7 @@
 import signal
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, Self
@@ -38,6 +38,8 @@ class Apart:
         self._answer, answer = context.Pipe(duplex=False)
         self._process = context.Process(target=_answered, args=(answer, function, arguments), daemon=True)
         # Ctrl-C strikes every process of a terminal; this one inherits that it does not hear it, and is told to end.
+        # What looks after its memory goes first: to begin that lets this thread hear Ctrl-C again.
+        resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             self._process.start()
