@@ -21,6 +21,8 @@ IDLE_PUCKS, IDLE_SAFETY = (0x404, bytes((0x88, 0, 0, 0, 0, 0))), (0x00A, bytes((
 TORQUE = 0x401
 SOON = 0.010
 """Within which the arm must be idle after its controller died [s], on a machine that nobody else uses."""
+BEGINNINGS = 5
+"""How often a controller may begin: where tests share two cores, cycles are missed, and replies are late."""
 
 
 @contextmanager
@@ -111,6 +113,22 @@ def driven(heard):
     return [at for at, number, data in list(heard) if number == TORQUE and len(data) == 8 and any(unpack_torques(data))]
 
 
+@contextmanager
+def driving(folder):
+    """A twin, its bus and a controller that drives it. One that ended after missed cycles begins anew."""
+    for _ in range(BEGINNINGS):
+        with robot("--rhythm", "none") as (port, heard, bus):
+            process = controller(folder, port)
+            wait_for(lambda heard=heard, process=process: len(driven(heard)) > 20 or process.poll() is not None, 60.0)
+            if process.poll() is None and len(driven(heard)) > 20:
+                yield process, heard, bus
+                return
+            process.kill()
+            output, _ = process.communicate()
+        assert re.search("cycles missed [1-9]", output), output
+    pytest.fail(f"late {BEGINNINGS} times in a row: {output}")
+
+
 def idled(heard, since):
     """When both orders to idle had been heard [s]."""
     first = {}
@@ -122,9 +140,7 @@ def idled(heard, since):
 
 @pytest.mark.oracle
 def test_a_killed_controller_leaves_an_idle_arm(tmp_path):
-    with robot("--rhythm", "none") as (port, heard, bus):
-        process = controller(tmp_path, port)
-        assert wait_for(lambda: len(driven(heard)) > 20, 60.0), process.communicate(timeout=5)
+    with driving(tmp_path) as (process, heard, bus):
         process.send_signal(signal.SIGKILL)
         killed = time.monotonic()
         assert wait_for(lambda: idled(heard, killed) is not None, 5.0)
@@ -139,9 +155,7 @@ def test_a_killed_controller_leaves_an_idle_arm(tmp_path):
 
 @pytest.mark.oracle
 def test_a_stopped_controller_computes_nothing_from_what_is_old(tmp_path):
-    with robot("--rhythm", "none") as (port, heard, bus):
-        process = controller(tmp_path, port)
-        assert wait_for(lambda: len(driven(heard)) > 20, 60.0), process.communicate(timeout=5)
+    with driving(tmp_path) as (process, heard, bus):
         process.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
         time.sleep(0.1)
