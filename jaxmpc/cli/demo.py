@@ -14,6 +14,7 @@ from jaxmpc.files.sealed import write_atomic
 
 if TYPE_CHECKING:
     from deploy.controller.artifact import Artifact
+    from deploy.flight.replay import Difference
     from deploy.twin.flight import TwinFlight
     from jaxmpc.synthesis.params import Params
     from sweeps.result import Result
@@ -59,13 +60,12 @@ def run(args: argparse.Namespace) -> int:
             print(tuned.unmet())
             return 1
         with _step("4/6 the arm within the robot's limits: text design, and a family that finds the stiffness"):
-            arm, artifact, flight = on_the_arm.result()
+            arm, artifact, flight, repeated = on_the_arm.result()
             _tell_arm(arm)
         with _step("5/6 freeze that family for the robot"):
             _tell_frozen(folder, artifact)
         with _step("6/6 fly it in lock-step over the twin's beating heart, and replay the flight"):
-            _tell_flight(folder, arm, flight)
-            same = _replay(folder, artifact)
+            same = _tell_flight(flight, repeated)
     summary(folder, swept, tuned, arm, artifact, flight, time.monotonic() - began)
     return 0 if same and flight.ended.well else 1
 
@@ -119,22 +119,24 @@ def _sweep(folder: Path) -> "Result":
 
 def _tune(folder: Path) -> "TuneResult":
     from jaxmpc.terminal.layout import columns_of_output
-    from tuning import TuneSpec, history_figure, report, tune
+    from tuning import TuneSpec, report, tune
 
     result = tune(TuneSpec.from_toml(_example(folder, "demo-tune.toml")), folder / "tune", progress=True)
     print(report(result, columns_of_output()))
-    history_figure(result, folder / "tuning-history.png")
+    write_atomic(folder / "tuning-history.png", (folder / "tune" / "history.png").read_bytes())
     return result
 
 
-def _of_the_arm(folder: Path) -> "tuple[Arm, Artifact, TwinFlight]":
-    """Simulate, freeze and fly, each with what the one before it has made; in a process of its own."""
+def _of_the_arm(folder: Path) -> "tuple[Arm, Artifact, TwinFlight, list[Difference]]":
+    """Simulate, freeze, fly and replay, each with what the one before it has made; in a process of its own."""
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
     arm = _on_arm()
     artifact = _freeze(folder, arm)
-    return arm, artifact, _fly(folder, arm)
+    flight = _fly(folder, arm)
+    _picture(folder, arm, flight)
+    return arm, artifact, flight, _replay(folder, artifact)
 
 
 def _on_arm() -> Arm:
@@ -193,25 +195,29 @@ def _fly(folder: Path, arm: Arm) -> "TwinFlight":
     return fly(folder / "controller.npz", settings, "0,0,-5@2", SECONDS, folder / "flight.npz")
 
 
-def _tell_flight(folder: Path, arm: Arm, flight: "TwinFlight") -> None:
+def _picture(folder: Path, arm: Arm, flight: "TwinFlight") -> None:
     from jaxmpc.pictures.flight_figure import flight_figure
 
-    state = flight.ended.safety_state
-    print(f"{SECONDS:g} s in contact; ended: {state.state}, {state.reason}\n{flight.said}")
     measured, _, _ = errors(arm, arm.text, flight)
     before = flight.time[: len(measured)], measured[:, 2]
     flight_figure(folder / "flight.png", flight.time, flight.signals, STIFFNESS, before, SETTLE)
 
 
-def _replay(folder: Path, artifact: "Artifact") -> bool:
-    """Whether the recorded inputs give the same flight once more."""
+def _replay(folder: Path, artifact: "Artifact") -> "list[Difference]":
+    """The recorded inputs once more through the runtime, and each signal beside the recorded one."""
     from deploy.flight.recorder import read
     from deploy.flight.replay import compare, inputs_of, through_runtime
 
     recording = read(folder / "flight.npz")
     inputs = inputs_of(recording, artifact, recording.header["artifact"])
-    rows = compare(recording, inputs, through_runtime(inputs, artifact))
-    parted = [row.signal for row in rows if row.parts]
+    return compare(recording, inputs, through_runtime(inputs, artifact))
+
+
+def _tell_flight(flight: "TwinFlight", repeated: "list[Difference]") -> bool:
+    """Whether its replay is the same flight."""
+    state = flight.ended.safety_state
+    print(f"{SECONDS:g} s in contact; ended: {state.state}, {state.reason}\n{flight.said}")
+    parted = [row.signal for row in repeated if row.parts]
     said = f"parts in {', '.join(parted)}" if parted else "the same"
-    print(f"replay of {rows[0].samples} samples in the runtime: {said}")
+    print(f"replay of {repeated[0].samples} samples in the runtime: {said}")
     return not parted

@@ -66,16 +66,15 @@ class Best:
 def nothing_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxmpc.terminal.process.use_all_cores", lambda *_: None)
-    monkeypatch.setattr("jaxmpc.pictures.flight_figure.flight_figure", lambda *_: None)
     margins = Margins(*(np.full((2, 5), 32.78) for _ in Margins._fields))
     tuned = SimpleNamespace(feasible=True, worst=(0.0474, 0.0254), margins={"as run": margins})
     swept = SimpleNamespace(best=lambda *_: Best())
 
     def of_the_arm(folder: Path) -> Any:
         (folder / "controller.npz").write_bytes(bytes(98_765))
-        return arm(), artifact(), flight()
+        return arm(), artifact(), flight(), [SimpleNamespace(signal="torque", samples=17_321, parts=False)]
 
-    for name, found in {"_paper": None, "_sweep": swept, "_tune": tuned, "_replay": True}.items():
+    for name, found in {"_paper": None, "_sweep": swept, "_tune": tuned}.items():
         monkeypatch.setattr(demo, name, lambda *_, found=found: found)
     monkeypatch.setattr(
         demo, "Apart", lambda _, folder: nullcontext(SimpleNamespace(result=lambda: of_the_arm(folder)))
