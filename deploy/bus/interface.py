@@ -15,10 +15,14 @@ from deploy.errors import BusError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags that say which bus: python-can's own, as --interface and --channel."""
     add_bus_arguments(parser)
-    (interface,) = (each for each in parser._actions if each.dest == "interface")
-    # Two dozen names in a row, which no line holds.
-    interface.metavar = "NAME"
-    interface.help = f"{interface.help} One of: {', '.join(interface.choices or ())}."
+    for flag in parser._actions:
+        if flag.dest in ("fd", "data_bitrate"):  # taken nevertheless: `open_interface` says why they are refused
+            flag.help = argparse.SUPPRESS
+        elif flag.dest == "bitrate":
+            flag.help = "of the bus: 1000000, which the pucks speak, and nothing else"
+        elif flag.dest == "interface":  # two dozen names in a row, which no line holds
+            flag.metavar = "NAME"
+            flag.help = f"{flag.help} One of: {', '.join(flag.choices or ())}."
 
 
 def open_bus(arguments: argparse.Namespace, now: Callable[[], int] = time.monotonic_ns) -> Bus:

@@ -35,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
     from deploy.controller.golden import TOLERANCE, check_golden
     from deploy.controller.recomputed_margins import differences
     from deploy.controller.signature import SignatureError, public_key
+    from jaxmpc.law.gain_backoff import INSISTENT
     from jaxmpc.quantities import MARGINS
 
     path: Path = args.artifact
@@ -57,9 +58,10 @@ def run(args: argparse.Namespace) -> int:
     print(f"  T_s         {artifact.T_s:g} s\n  K2          {artifact.K2:g} 1/s\n  reference   {reference}")
     guard, gain = artifact.gains.guard, "not guarded: the same whatever the force does"
     if guard is not None:
-        once, lasting, held = guard.sensitivity**-0.5, guard.attention**-0.5, guard.relief**-0.5
+        once, held = guard.sensitivity**-0.5, guard.relief**-0.5
+        lasting = (INSISTENT / (1.0 - INSISTENT) / guard.attention) ** 0.5
         gain = (
-            f"guarded: falls when the force swings by some {once:.3g} N (RMS), or by {lasting:.3g} N for long, "
+            f"guarded: falls when the force swings by some {once:.3g} N (RMS), or by {lasting:.2g} N for long, "
             f"or when the limits hold back {held:.3g} m/s²"
         )
     print(f"  gain        {gain}")

@@ -59,7 +59,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, default=Path("flights"), metavar="DIR", help="recordings (flights)"
     )
     machine.add_argument("--record", action="store_true", help="write the flight recording even if all went well")
-    machine.add_argument("--recorded", type=float, default=10.0, metavar="S", help="how much of the end is kept (10)")
+    machine.add_argument(
+        "--recorded",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help=f"how much of the end is kept (10, at most {LONGEST:g}); of a family replay needs approach and contact",
+    )
     machine.add_argument("--bus-log", type=Path, metavar="FILE.log", help="the torque frames, as candump logs them")
     twin = parser.add_argument_group("a twin instead of a bus (needs mujoco)")
     twin.add_argument("--lockstep", action="store_true", help="run against a twin in this process, in its own time")

@@ -49,8 +49,8 @@ def engine_lines() -> list[str]:
         elif name == quickest == "scan":
             use = "sweep, tune, trials, simulate"
         elif name == quickest:
-            use = "sweep, trials: the fastest here"
+            use = "sweep, trials, runs of tune on the arm: the fastest here"
         else:
-            use = "tune, simulate, and sweeps whose rows have worlds of their own"
+            use = "slopes of tune, simulate, and sweeps whose rows have worlds of their own"
         lines.append(f"{what}: on {where}; {use}")
     return ["engines", *lines]

@@ -11,15 +11,23 @@ from jaxmpc.files.outputs import check_file, check_folder
 if TYPE_CHECKING:
     from sweeps.result import Result
 
-VERBS = ("report", "best", "pareto", "row", "sensitivity")
+TAKES = {
+    "report": ("-o", "--csv", "--max-ms", "-n"),
+    "best": ("--csv", "--max-ms", "-n", "--params"),
+    "pareto": ("--csv", "-n", "--goals", "--params"),
+    "row": ("--csv", "--params"),
+    "sensitivity": ("--max-ms", "--params"),
+}
+"""Flags of each verb."""
+VERBS = tuple(TAKES)
 
 
 def show_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verbs."""
     showing = parser.add_argument_group("showing what came out")
     showing.add_argument("--csv", type=Path, help="also write the rows there (all of them, with report)")
-    showing.add_argument("--max-ms", type=float, help="largest accepted peak sensitivity M_s (default: the spec's)")
-    showing.add_argument("-n", type=int, help="rows to list (default 10)")
+    showing.add_argument("--max-ms", type=float, help="largest accepted M_s of best, report and --params (the spec's)")
+    showing.add_argument("-n", type=int, help="rows to list (10; of pareto all)")
     showing.add_argument("--goals", help="of pareto: metrics and margins, by commas (default rms,M_s)")
     showing.add_argument("--params", type=Path, help="also write the first row's controller there, for tune and freeze")
 
@@ -30,13 +38,16 @@ def show(verb: str, args: argparse.Namespace) -> int:
     Raises:
         InputError: It is no sweep's, or there is no such row or goal.
     """
+    given = {"-o": args.out, "--csv": args.csv, "--max-ms": args.max_ms, "-n": args.n}
+    given |= {"--goals": args.goals, "--params": args.params}
+    for flag in [flag for flag, value in given.items() if value is not None and flag not in TAKES[verb]]:
+        takers = " | ".join(other for other, flags in TAKES.items() if flag in flags)
+        raise InputError(flag, given[flag], f"left out of `sweep {verb}`", f"It belongs to `jaxmpc sweep {takers}`.")
     limit, n = args.max_ms, 10 if args.n is None else args.n
     if limit is not None and not limit >= 1.0:
         raise InputError("--max-ms", limit, "at least 1", "No loop has a smaller peak sensitivity; 2 is usual.")
     if n < 1:
         raise InputError("-n", n, "at least 1", "Ask for one row or more.")
-    if args.goals is not None and verb != "pareto":
-        raise InputError("--goals", args.goals, "left out here", "It belongs to `jaxmpc sweep pareto`.")
     from sweeps.result import Result
     from sweeps.show.best_rows import chance, progress
 

@@ -51,7 +51,7 @@ def test_good_artifact_with_a_guard(tmp_path, capsys):
     path.write_bytes(to_bytes(with_margins(made.arm_artifact(6, gains=gains))))
     assert main(["check", str(path)]) == 0
     said = capsys.readouterr().out
-    assert "gain        guarded: falls when the force swings by some 0.2 N (RMS), or by 0.035 N for long" in said
+    assert "gain        guarded: falls when the force swings by some 0.2 N (RMS), or by 0.049 N for long" in said
     assert "or when the limits hold back 5 m/s²" in said
 
 

@@ -104,6 +104,6 @@ def test_doctor_says_of_each_engine_where_it_would_run(monkeypatch: pytest.Monke
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     lines = engine_lines()[1:]
     assert "worlds of their own" in lines[0]
-    assert "sweep, trials: the fastest here" in lines[1]
+    assert "sweep, trials, runs of tune on the arm: the fastest here" in lines[1]
     monkeypatch.setattr("jaxmpc.cli.doctor.find_spec", lambda name: None)
     assert "jaxmpc[sim]" in engine_lines()[0]

@@ -144,6 +144,13 @@ def test_wrong_specs_are_refused_before_anything_is_written(
         ["sweep", "report", "spec.toml", "--chunk", "5"],
         ["sweep", "report", "spec.toml", "--max-ms", "nan"],
         ["sweep", "missing.toml"],
+        # Flags that a verb does not take would otherwise do nothing, without a word.
+        ["sweep", "best", "nowhere", "--goals", "rms,M_s"],
+        ["sweep", "best", "nowhere", "-o", "there"],
+        ["sweep", "pareto", "nowhere", "--max-ms", "1.5"],
+        ["sweep", "row", "nowhere", "3", "-n", "2"],
+        ["sweep", "sensitivity", "nowhere", "--csv", "rows.csv"],
+        ["sweep", "report", "nowhere", "--params", "row.toml"],
     ],
 )
 def test_wrong_arguments_are_refused(
@@ -152,6 +159,13 @@ def test_wrong_arguments_are_refused(
     write_spec(spec_text)
     assert command(*arguments) == 2
     assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]
+
+
+def test_a_flag_of_another_verb_is_refused_by_name(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("sweep", "sensitivity", "nowhere", "--csv", "rows.csv") == 2
+    assert "--csv = rows.csv: must be left out of `sweep sensitivity`. It belongs to `jaxmpc sweep report | best" in (
+        capsys.readouterr().err
+    )
 
 
 def test_the_real_command_refuses_without_a_traceback(write_spec: Write, spec_text: str, tmp_path: Path) -> None:
