@@ -1,7 +1,6 @@
 """`jaxmpc doctor`: may this machine run the robot, and if not, what to do about it. Works with numpy and python-can."""
 
 import argparse
-import math
 from pathlib import Path
 
 from jaxmpc.files.errors import InputError
@@ -26,8 +25,8 @@ def run(args: argparse.Namespace) -> int:
     """
     from deploy import doctor
 
-    if args.rate is not None and not (0.0 < args.rate < math.inf):
-        raise InputError("--rate", args.rate, "positive and finite [Hz]", "The paper's controller runs at 1000.")
+    if args.rate is not None and not 1.0 <= args.rate <= 10_000.0:
+        raise InputError("--rate", args.rate, "in [1, 10000] Hz", "The paper's controller runs at 1000.")
     findings = doctor.versions()
     rate = args.rate
     if args.artifact:

@@ -3,6 +3,7 @@
 import argparse
 import hashlib
 import logging
+import os
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -74,7 +75,7 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     from deploy.loop.realtime import MonotonicClock, prepared
     from deploy.loop.session import Session
     from deploy.loop.signals import EndingSignals
-    from deploy.loop.watchdog import Watchdog, bus_flags
+    from deploy.loop.watchdog import TIMEOUT_MS, Watchdog, bus_flags
     from deploy.safety.machine import OperatingState, SafetyState
     from deploy.safety.reasons import Reason
 
@@ -89,13 +90,16 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
         bus, watchdog = Bus(made, clock.now), None
         changes = {"turns": False, "hook": clock.twin.force_hook}
     else:
+        # Who watches the loop does not wait for its processor.
+        others = frozenset(os.sched_getaffinity(0) - {args.cpu}) if args.cpu is not None else frozenset()
         # Before any thread is started: each takes over its priority.
         for granted in stack.enter_context(prepared(cpu=args.cpu)):
             print(granted.sentence)
         if getattr(args, "interface", None) == "socketcand":
             args.bus_kwargs = {"tcp_tune": True, **getattr(args, "bus_kwargs", {})}
         clock, bus = MonotonicClock(), open_bus(args)
-        watchdog = stack.enter_context(Watchdog(bus_flags(args)))
+        timeout_ms = max(TIMEOUT_MS, 3e3 * artifact.T_s)
+        watchdog = stack.enter_context(Watchdog(bus_flags(args), timeout_ms, processors=others))
     stack.callback(bus.close)
     log = None
     if args.bus_log is not None:

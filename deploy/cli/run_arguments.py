@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 HASH = 8
 """Characters of the controller's sha256 that arm it."""
 LONGEST = 50.0
-"""Longest recording that can be read again [s]."""
+"""Longest recording of 1 kHz that can be read again [s]."""
+ONE_PROGRAM = ("slcan", "serial", "robotell")
+"""Interfaces of python-can that are a serial line, which two programs read to pieces."""
 CONTACTS = {"approach_speed": (0.1, 50.0), "approach_limit": (1.0, 200.0), "retract": (1.0, 200.0)}
 """Bounds [mm/s], [mm], [mm]."""
 
@@ -99,6 +101,11 @@ def check(args: argparse.Namespace) -> None:
         raise InputError(
             "--recorded", args.recorded, f"in [1, {LONGEST:g}] s", "A recording lies in memory as a whole."
         )
+    if not args.lockstep and getattr(args, "interface", None) in ONE_PROGRAM:
+        remedy = "Make a network of it by `slcand -o -s8 DEVICE can0`, then --interface socketcan --channel can0."
+        raise InputError("--interface", args.interface, "one that the watchdog can open, too", remedy)
+    if args.reference == "-" and args.arm is None and not args.lockstep:
+        raise InputError("--arm", "left out", "given with --reference -", "Standard input is the wanted force there.")
     if args.sensor.partition(":")[0] not in ("can", "jr3"):
         raise InputError("--sensor", args.sensor, "can or jr3:DEVICE", "For example jr3:/dev/comedi0.")
     _mount(args.mount)
@@ -117,6 +124,10 @@ def options(args: argparse.Namespace, artifact: "Artifact") -> "Options":
     from deploy.loop.session import largest_wanted
     from deploy.reference.parse import from_text
 
+    longest = LONGEST * min(1.0, 1e3 * artifact.T_s)
+    if args.recorded > longest:
+        remedy = f"The controller runs at {1.0 / artifact.T_s:g} Hz, and a recording lies in memory as a whole."
+        raise InputError("--recorded", args.recorded, f"in [1, {longest:g}] s", remedy)
     contacting = Contacting(
         approach_speed=1e-3 * args.approach_speed,
         approach_limit=1e-3 * args.approach_limit,

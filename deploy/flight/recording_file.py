@@ -82,7 +82,7 @@ class RecordingFile:
         """Give the space back, and the folder if it was made here and is empty; safe to call again."""
         if self._descriptor >= 0:
             with suppress(OSError):
-                if self._is_there():
+                if _is_at(self._descriptor, self._part):
                     self._part.unlink()
             with suppress(OSError):
                 os.close(self._descriptor)
@@ -100,7 +100,7 @@ class RecordingFile:
         os.ftruncate(self._descriptor, len(data))
         os.fchmod(self._descriptor, 0o644)
         os.fsync(self._descriptor)
-        if not self._is_there():
+        if not _is_at(self._descriptor, self._part):
             raise OSError(errno.ENOENT, "its folder was replaced")
         if self.path.exists():
             raise OSError(errno.EEXIST, "somebody else has written it")
@@ -108,9 +108,10 @@ class RecordingFile:
         os.close(self._descriptor)
         self._descriptor = -1
 
-    def _is_there(self) -> bool:
-        """Whether the part file is still found by its name."""
-        return os.path.samestat(os.fstat(self._descriptor), os.stat(self._part))
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    """Whether an open file is what is found by a name."""
+    return os.path.samestat(os.fstat(descriptor), os.stat(path))
 
 
 def _reserved(folder: Path) -> tuple[Path, Path, int]:
@@ -123,7 +124,10 @@ def _reserved(folder: Path) -> tuple[Path, Path, int]:
         descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return path, part, descriptor
+            with suppress(FileNotFoundError):
+                if _is_at(descriptor, part):
+                    return path, part, descriptor
+            os.close(descriptor)  # another program has finished it meanwhile
         except BlockingIOError:  # another program's
             os.close(descriptor)
         except OSError:

@@ -75,7 +75,14 @@ class TaskController:
         self._reference, self._start, self._sum = NONE, NONE, NONE
 
     def torque(
-        self, task: Task, q: Vector4, qd: Vector4, tip: Vector3, tip_velocity: Vector3, force: Vector3 | None
+        self,
+        task: Task,
+        q: Vector4,
+        qd: Vector4,
+        tip: Vector3,
+        tip_velocity: Vector3,
+        force: Vector3 | None,
+        active: bool = True,
     ) -> Vector4:
         """Joint torques that a task asks for, before any clamp [N m].
 
@@ -86,6 +93,8 @@ class TaskController:
             tip: Position of the tip [m].
             tip_velocity: [m/s]
             force: Measured force on the tissue [N]; None where there is none to trust.
+            active: Whether the pucks follow. An arm that they do not hold yet may be moved by hand: where it is let go
+                is where it is then held, without a leap back.
         """
         entered = task is not self._task
         self._task = task
@@ -99,7 +108,7 @@ class TaskController:
         if task is Task.GRAVITY:
             held: Vector4 = self.runtime.gravity(q)
             return held
-        if entered:
+        if entered or (task is Task.HOLD and not active):
             self._reference, self._start, self._sum = tip, tip, NONE
         speed = {Task.APPROACH: -self.contacting.approach_speed, Task.RETRACT: self.contacting.retract_speed}.get(
             task, 0.0

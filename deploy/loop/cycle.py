@@ -11,6 +11,7 @@ from math import dist, inf, isfinite
 from typing import NamedTuple
 
 from deploy.controller.limits import Limits
+from deploy.force.sensor import BAD_DATA, SATURATED
 from deploy.loop.control import TaskController
 from deploy.loop.force_watch import ForceSample, ForceWatch
 from deploy.loop.hazards import CycleTiming, Hazards
@@ -118,6 +119,7 @@ class Cycle:
         self._bridge = EncoderBridge(arm.counts)
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
+        self._saturated: int | None = None  # flags of gauges stay set: those of the first reading are of the past
         self.watch = ForceWatch(controller, estimate, deepest, T_s)
         self._age, self._hazards, self.pushes = [0] * 4, Hazards(arm, T_s), Pushes()
         self._q = pucks.angles(arm.counts)
@@ -178,7 +180,9 @@ class Cycle:
             task = machine.task_of(self.safety_state, age)
             if self.safety_state.reason is Reason.FORCE_MODEL:
                 force = None  # what was found to lie must not be made good by torque
-            wanted = self.controller.torque(task, q, qd, kinematics.tip, kinematics.velocity, force)
+            wanted = self.controller.torque(
+                task, q, qd, kinematics.tip, kinematics.velocity, force, self._hazards.active
+            )
             applied, acted = (ZERO, NOTHING) if task is Task.OFF else clamp(wanted, self.checker.torque, self._bounds)
             frame = self.arm.torque_frame(applied)
             drive = task is not Task.OFF
@@ -220,7 +224,11 @@ class Cycle:
 
     def _force(self, reading: Reading, kinematics: TipKinematics) -> tuple[Vector3 | None, Reason]:
         """Force on the tissue in the world's axes [N], and the reason to distrust it."""
-        raw = reading.force
+        raw, flags = reading.force, reading.force_flags
+        if raw is not None and self._saturated is None:
+            self._saturated = flags & SATURATED
+        if flags & BAD_DATA:
+            raw = None
         if raw is not None and self._hook is not None:
             raw = self._hook(raw)
         controller, innovation = self.controller, None
@@ -232,6 +240,8 @@ class Cycle:
         self._force_state, reason = force_step(self._force_state, raw, innovation)
         if reason is not None:
             return None, reason
+        if flags & SATURATED & ~(self._saturated or 0):
+            return None, Reason.FORCE_RANGE
         if turned is None:
             return None, Reason.NONE
         x, y, z = turned

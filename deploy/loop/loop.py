@@ -13,6 +13,7 @@ from deploy.flight.recorder import FlightRecorder
 from deploy.loop.cycle import Cycle, CycleResult, OperatorCommand
 from deploy.loop.hazards import CycleTiming
 from deploy.loop.statistics import Statistics
+from deploy.puck.frame import Frame
 from deploy.safety.checker import check_service
 from deploy.safety.clamp import Clamp
 from deploy.safety.machine import HELD, OperatingState, SafetyState, Task
@@ -26,6 +27,8 @@ LINGER = 1.0
 """How long the arm is still held once nothing leads on, before it is let go [s]."""
 LETTING_GO = 0.05
 """How long zero torque and idle are repeated at the end [s]: a frame can be lost."""
+INSISTING = 1.1
+"""How much longer idle is tried where the bus took no such order, longer than `Bus` holds frames back [s]."""
 IDLE_EVERY = 10
 """Cycles between two orders to idle."""
 STATES, REASONS = tuple(OperatingState), tuple(Reason)
@@ -88,12 +91,12 @@ class Loop:
             recorder: Takes a row of every cycle.
             watchdog: Standing by; None only where time is simulated.
             each: Takes the result of every cycle, returns the operator's next command.
-            log: Takes every torque frame sent and its time.
+            log: Takes every torque frame that the bus took, and its time.
         """
         self._cycle, self._clock, self._period = cycle, clock, period
         self._recorder, self._watchdog, self._each, self._log = recorder, watchdog, each, log
         self.statistics = Statistics(period)
-        self._contact = 0
+        self._contact, self._on = 0, False
 
     def run(self, command: OperatorCommand) -> RunResult:
         """Run until the arm has been let go.
@@ -124,7 +127,7 @@ class Loop:
             result = self._cycle.step(reading, timing, command)
             self._send(result, woke)
             if self._watchdog is not None:
-                self._watchdog.beat(woke, result.task is not Task.OFF)
+                self._watchdog.beat(woke, self._on)
             if result.safety_state.state is OperatingState.CONTACT:
                 self._contact += 1
             if result.clamp.acted:
@@ -139,38 +142,52 @@ class Loop:
                 return RunResult(result.safety_state, self._contact)
 
     def _let_go(self, deadline: int) -> None:
-        """Send zero torque and idle, several times."""
+        """Send zero torque and idle, several times; where no order to idle was taken, try on.
+
+        Then there are no more beats either, so that the watchdog tries by its own connection.
+        """
         arm = self._cycle.arm
         zero = arm.torque_frame((0.0, 0.0, 0.0, 0.0))
-        for i in range(round(LETTING_GO * 1e9 / self._period)):
+        for i in range(round((LETTING_GO + INSISTING) * 1e9 / self._period)):
+            insisting = i * self._period >= LETTING_GO * 1e9
+            if insisting and not self._on:
+                return
             self._clock.wait_until(deadline + i * self._period)
             arm.bus.drain()
-            arm.bus.send(zero)
+            if arm.bus.state == "active":
+                self._hand_over(zero)
             if i % IDLE_EVERY == 0:
                 self._idle()
-            if self._watchdog is not None:
-                self._watchdog.beat(self._clock.now(), False)
+            if self._watchdog is not None and not insisting:
+                self._watchdog.beat(self._clock.now(), self._on)
 
     def _send(self, result: CycleResult, woke: int) -> None:
         arm, now, frame = self._cycle.arm, self._clock.now(), result.frame
         # Stopped between measuring and sending, this cycle must not act on what is old by now.
         if now - woke > HELD * self._period or (self._watchdog is not None and self._watchdog.fired):
             frame = arm.torque_frame((0.0, 0.0, 0.0, 0.0))
-        arm.bus.send(frame)
-        if self._log is not None:
-            self._log(frame, now, True)
+        off = result.task is Task.OFF
+        self._on = self._on or not off
+        # After an error few frames are still tried, and an idle puck asks for no zero.
+        if not off or arm.bus.state == "active":
+            self._hand_over(frame)
         # An undriven puck left in torque mode would go on with the last command it heard.
-        if (
-            result.task is Task.OFF
-            and result.safety_state.state is OperatingState.FAULT
-            and result.safety_state.cycles % IDLE_EVERY == 0
-        ):
+        if off and result.safety_state.state is OperatingState.FAULT and result.safety_state.cycles % IDLE_EVERY == 0:
             self._idle()
 
     def _idle(self) -> None:
-        for frame in self._cycle.arm.idle_frames():
-            assert check_service(frame) is None
-            self._cycle.arm.bus.send(frame)
+        pucks, module = self._cycle.arm.idle_frames()
+        assert check_service(pucks) is None
+        assert check_service(module) is None
+        # A bus that refuses the one takes few frames more: they are for the pucks.
+        if self._cycle.arm.bus.send(pucks):
+            self._on = False
+            self._cycle.arm.bus.send(module)
+
+    def _hand_over(self, torques: Frame) -> None:
+        """Send torques, and log them if the bus took them."""
+        if self._cycle.arm.bus.send(torques) and self._log is not None:
+            self._log(torques, self._clock.now(), True)
 
     def _judged(self, woke: int, missed: int) -> Reason:
         """Reason of the clock or the watchdog to stop, once the replies are there."""

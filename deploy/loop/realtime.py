@@ -149,7 +149,7 @@ def use_processor(cpu: int | None, back: Callable[..., object]) -> Granted:
         return Granted(True, f"processor: any of {len(before)}; name one that `isolcpus` keeps free to pin the loop")
     try:
         os.sched_setaffinity(0, {cpu})
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, OverflowError) as error:
         return Granted(False, f"processor: {cpu} refused ({_words(error)}); there are {sorted(before)}")
     back(os.sched_setaffinity, 0, before)
     return Granted(True, f"processor: {cpu} only")

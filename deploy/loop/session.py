@@ -72,7 +72,7 @@ class Session:
         runtime = arm_runtime(artifact)
         model = artifact.arm
         assert model is not None
-        if options.hz is not None and abs(options.hz * artifact.T_s - 1.0) > 1e-9:
+        if options.hz is not None and not abs(options.hz * artifact.T_s - 1.0) <= 1e-9:
             remedy = "Freeze a controller for that rate: its gains hold for no other."
             raise InputError("rate", f"{options.hz:g} Hz", f"{1.0 / artifact.T_s:g} Hz, the controller's own", remedy)
         self.artifact, self._clock, self._options = artifact, clock, options

@@ -9,7 +9,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
+from contextlib import suppress
 from types import TracebackType
 
 from deploy.loop.beats import BeatPage
@@ -27,13 +28,20 @@ class WatchdogError(ValueError):
 class Watchdog:
     """The controller's end of the watchdog."""
 
-    def __init__(self, bus_flags: Sequence[str], timeout_ms: float = TIMEOUT_MS, ready_within: float = 15.0) -> None:
+    def __init__(
+        self,
+        bus_flags: Sequence[str],
+        timeout_ms: float = TIMEOUT_MS,
+        ready_within: float = 15.0,
+        processors: Set[int] = frozenset(),
+    ) -> None:
         """Start the process and wait until it stands by.
 
         Args:
             bus_flags: The flags of the bus (`can.cli`), as the controller's own command line had them.
             timeout_ms: Age of the last beat at which it acts [ms].
             ready_within: Patience for its start [s].
+            processors: On which it runs; none for those of the controller, which may keep itself to a single one.
 
         Raises:
             WatchdogError: It did not start, or cannot open its bus.
@@ -55,6 +63,9 @@ class Watchdog:
             os.close(page)
             os.close(theirs)
         self._pipe: int | None = ours
+        if processors:
+            with suppress(OSError):  # it has ended already, which is told below
+                os.sched_setaffinity(self._process.pid, processors)
         end = time.monotonic() + ready_within
         while not self._page.alive:
             if self._process.poll() is not None:
@@ -84,11 +95,17 @@ class Watchdog:
         """Whether the watchdog has itself looked within the last 100 ms of `time.monotonic_ns()`; else stop."""
         return now - self._page.alive < _STALE_NS
 
-    def close(self) -> None:
-        """Stand down and end it; safe to call again."""
+    def close(self, stand_down: bool = True) -> None:
+        """End it; safe to call again.
+
+        Args:
+            stand_down: Whether the arm has been let go for certain; else it lowers the arm if the last beat had torques
+                on, as if the controller had died.
+        """
         if self._pipe is None:
             return
-        self._page.beat = -time.monotonic_ns()
+        if stand_down:
+            self._page.beat = -time.monotonic_ns()
         os.close(self._pipe)
         self._pipe = None
         try:
@@ -103,7 +120,7 @@ class Watchdog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        self.close(stand_down=error is None)
 
 
 def bus_flags(args: argparse.Namespace) -> list[str]:

@@ -149,6 +149,7 @@ def test_drain_and_flush(bus, driver):
         OSError(errno.ENETDOWN, "down"),
         BrokenPipeError(),
         ValueError("closed"),
+        IndexError("none of python-can's own"),
     ],
 )
 def test_after_an_error_less_than_5_sends_a_second_are_tried(bus, driver, clock, error):
@@ -171,6 +172,13 @@ def test_after_an_error_less_than_5_sends_a_second_are_tried(bus, driver, clock,
     assert all(later - earlier >= 1000 * MS for earlier, later in zip(tried, tried[SENDS_AFTER_ERROR:], strict=False))
     # the frames that lower the arm's state go out at once, though
     assert tried[:3] == [0, MS, 2 * MS]
+
+
+def test_whatever_a_driver_raises_as_it_reads_is_counted(bus, driver):
+    driver.receive_error = IndexError("half a line of a serial adapter")
+    assert bus.drain() == []
+    assert bus.receive(0.0) is None
+    assert (bus.state, bus.counters.receive_errors) == ("off", 2)
 
 
 def test_an_error_is_never_forgotten(bus, driver, clock):

@@ -80,6 +80,16 @@ def test_prepare_says_one_sentence_each_and_keeps_it(monkeypatch):
     assert realtime.PRIORITY < realtime.WATCHDOG_PRIORITY < 50
 
 
+@pytest.mark.parametrize("cpu", [2**31 - 1, 10**20])
+def test_a_processor_that_no_system_has_is_refused_in_words(cpu):
+    before = os.sched_getaffinity(0)
+    with prepared(cpu=cpu) as granted:
+        (found,) = (each for each in granted if each.sentence.startswith("processor"))
+        assert not found.ok
+        assert f"{cpu} refused" in found.sentence
+    assert os.sched_getaffinity(0) == before
+
+
 def test_refusals_name_the_permission_and_the_file(monkeypatch):
     def refused(*_):
         raise PermissionError(1, "Operation not permitted")

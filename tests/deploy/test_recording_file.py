@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import fcntl
 import os
 import resource
 import shutil
@@ -55,6 +56,21 @@ def test_it_is_reserved_written_and_nothing_else_stays(folder):
     assert [path.name for path in folder.iterdir()] == ["flight-0000.npz"]
     assert file.path.read_bytes() == DATA
     assert file.path.stat().st_mode & 0o777 == 0o644
+
+
+def test_who_opens_a_part_file_as_it_is_finished_takes_another(folder, monkeypatch):
+    first, lock = RecordingFile(folder, SIZE), fcntl.flock
+
+    def finished_first(descriptor, operation):
+        monkeypatch.setattr(fcntl, "flock", lock)
+        assert first.save(DATA).ok
+        lock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", finished_first)
+    second = RecordingFile(folder, SIZE)
+    assert second.save(b"other").ok
+    assert (first.path.read_bytes(), second.path.read_bytes()) == (DATA, b"other")
+    assert {path.name for path in folder.iterdir()} == {"flight-0000.npz", "flight-0001.npz"}
 
 
 def test_what_is_not_needed_leaves_nothing_but_what_was_there(folder):

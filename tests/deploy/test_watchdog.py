@@ -120,6 +120,36 @@ def test_it_stays_quiet_while_beats_come_and_after_a_clean_end(server):
     watchdog.close()
 
 
+def fails(server, torques_on):
+    with Watchdog(server.flags, timeout_ms=5000.0) as watchdog:
+        watchdog.beat(time.monotonic_ns(), torques_on)
+        raise IndexError
+
+
+def test_a_program_that_fails_with_torques_on_leaves_the_arm_to_it(server):
+    with pytest.raises(IndexError):
+        fails(server, torques_on=True)
+    assert [(number, data) for _, number, data in server.wait(12)] == [*IDLE_FRAMES] * 6
+
+
+def test_a_program_that_fails_after_letting_go_needs_it_no_more(server):
+    with pytest.raises(IndexError):
+        fails(server, torques_on=False)
+    assert server.frames == []
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < 2, reason="one processor")
+def test_it_does_not_share_the_only_processor_of_the_loop(server):
+    before = os.sched_getaffinity(0)
+    own = min(before)
+    os.sched_setaffinity(0, {own})
+    try:
+        with Watchdog(server.flags, processors=before - {own}) as watchdog:
+            assert os.sched_getaffinity(watchdog._process.pid) == before - {own}
+    finally:
+        os.sched_setaffinity(0, before)
+
+
 def test_unarmed_it_stays_quiet_whatever_happens(server):
     watchdog = Watchdog(server.flags)
     time.sleep(0.05)

@@ -79,6 +79,7 @@ def test_a_fault_is_recorded_named_and_replayed(fly, tmp_path, controller, capsy
     ("flags", "words"),
     [
         (["--hz", "500"], ["500 Hz", "1000 Hz", "Freeze"]),
+        (["--hz", "nan"], ["1000 Hz", "Freeze"]),
         (["--reference", "0,0,-50"], ["50 N", "at most 12 N"]),
         (["--reference", "nowhere.csv"], ["nowhere.csv", "existing file"]),
         (["--fault", "force:stuk@3"], ["force:stuk@3", "stuck"]),
@@ -95,6 +96,20 @@ def test_wrong_arguments_exit_2_with_a_sentence(fly, flags, words):
     assert code == 2
     assert said.err.count("\n") == 1
     assert all(word in said.err for word in words), said.err
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["-i", "slcan", "-c", "/dev/ttyACM0"], ["--interface", "watchdog", "slcand"]),
+        (["-i", "virtual", "-c", "nobody", "--reference", "-"], ["--arm", "Standard input"]),
+    ],
+)
+def test_what_no_arm_can_be_driven_with_is_refused_before_a_bus_is_opened(controller, capsys, flags, words):
+    assert main(["run", str(controller), *flags]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert all(word in said for word in words), said
 
 
 def test_a_linear_controller_only_replays(tmp_path, capsys):
