@@ -111,6 +111,8 @@ def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any]) -
 
 def _listed(name: str, values: list[Any], given: Range, sets: Mapping[str, Any]) -> SweepAxis:
     key = f"sweep.axes.{name}"
+    if given.relative and choice_only(name):
+        raise InputError(f"{key}.relative", True, "left out", "It has no values in between.")
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     if numbers and not choice_only(name):
         return make_axis(name, "list", tuple(map(float, values)), None, relative=given.relative)

@@ -159,8 +159,9 @@ def stage_folders(folder: Path) -> list[Path]:
     """Folders of the stages of a refined sweep that have begun, in order; none of a plain one."""
     stages = folder / "stages"
     # A glob may raise where there can be no such folder.
-    found = sorted(stages.glob("[0-9]*")) if os.path.isdir(stages) else []
-    return [path for path in found if (path / "manifest.json").exists()]
+    found = list(stages.glob("[0-9]*-*")) if os.path.isdir(stages) else []
+    numbers = {path: path.name.partition("-")[0] for path in found if (path / "manifest.json").exists()}
+    return sorted((path for path in numbers if numbers[path].isdecimal()), key=lambda path: int(numbers[path]))
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:

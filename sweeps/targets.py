@@ -86,10 +86,15 @@ def target(name: str) -> Target:
     if name in STRUCTURAL:
         return Target(name, "params", "-")
     head, _, last = name.rpartition(".")
-    whole = head if last.isdigit() else name
+    whole = head if _numbered(last) else name
     if whole not in known_names() or whole in (*PARAMETERS, *STRUCTURAL):
         raise InputError(f"sweep.axes.{name}", "swept", "a known parameter or key", nearest(name, known_names()))
     return Target(name, "experiment", UNITS.get(whole, "-"))
+
+
+def _numbered(part: str) -> bool:
+    """Whether a part of a name is the number of an entry."""
+    return part.isascii() and part.isdecimal() and len(part) < 10
 
 
 def read(name: str, params: Params, experiment: Mapping[str, Any]) -> Any:
@@ -104,7 +109,7 @@ def read(name: str, params: Params, experiment: Mapping[str, Any]) -> Any:
     found: Any = experiment
     for part in name.split("."):
         try:
-            found = found[int(part)] if part.isdigit() else found[part]
+            found = found[int(part)] if _numbered(part) else found[part]
         except (IndexError, TypeError, KeyError):
             raise InputError(f"sweep.axes.{name}", part, "an entry that is there", "Count from 0.") from None
     return found

@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     from tuning.reports.text import section_text
 
     jobs = shipped()
-    path = args.spec if args.spec.exists() else jobs.get(f"{args.spec}", args.spec)
+    path = args.spec if args.spec.is_file() else jobs.get(f"{args.spec}", args.spec)
     if not path.exists() and not path.suffix:
         raise InputError("SPEC", path, "a TOML file or a job that comes with the program", nearest(f"{path}", [*jobs]))
     args.out = args.out or Path("runs") / plain_name("the job's name", path.stem)

@@ -1,5 +1,6 @@
 """An experiment: stiffness set × heart motion × force reference × imperfections, as a TOML file."""
 
+import hashlib
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -12,6 +13,7 @@ from jaxmpc import described
 from jaxmpc.experiment.reference import Reference, wanted_force
 from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest, plain_name
+from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.quantities import AXES, HP_MAX
 from jaxmpc.synthesis.force_filter import cutoff_of, force_filter
@@ -217,6 +219,15 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     def to_dict(self) -> dict[str, Any]:
         """Plain data, every default written out; for hashes and manifests."""
         data: dict[str, Any] = msgspec.to_builtins(self)
+        return data
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What results depend on, for hashes: as `to_dict`, but a recording by its content, wherever it lies."""
+        data = self.to_dict()
+        if file := data["motion"]["file"]:
+            recorded = read_bytes(file, LARGEST_RECORDING, "motion.file")
+            data["motion"]["file"] = f"sha256:{hashlib.sha256(recorded).hexdigest()}"
         return data
 
     @cached_property

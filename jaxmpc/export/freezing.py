@@ -101,7 +101,7 @@ def freeze_controller(
     provenance = {
         "jaxmpc": __version__,
         "experiment": experiment.name,
-        "experiment_sha256": digest(experiment.to_dict()),
+        "experiment_sha256": digest(experiment.content),
     }
     return freeze(
         path,

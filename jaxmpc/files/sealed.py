@@ -55,23 +55,27 @@ def seal(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def unseal(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def unseal(data: bytes, largest: int = LARGEST) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays of sealed bytes; nothing is parsed before the seal is found intact.
+
+    Args:
+        data: As `seal` made them.
+        largest: Most that are read [bytes].
 
     Raises:
         SealError: The bytes are too few or too many, were changed or cut short, or hold something else.
     """
     if len(data) <= SEAL:
         raise SealError(f"it has {len(data)} bytes, fewer than its seal alone: it was cut short")
-    if len(data) > LARGEST:
-        raise SealError(f"it has {len(data)} bytes, more than the {LARGEST} that are read")
+    if len(data) > largest:
+        raise SealError(f"it has {len(data)} bytes, more than the {largest} that are read")
     body, trailer = data[:-SEAL], data[-SEAL:]
     if hashlib.sha256(body).digest() != trailer:
         raise SealError("its sha256 seal does not match its content: it was changed or cut short after it was written")
     try:
         _check_contents(body)
         with np.load(io.BytesIO(body), allow_pickle=False) as archive:
-            _check_entries(archive.zip)
+            _check_entries(archive.zip, largest)
             arrays = {name: archive[name] for name in archive.files}
         header = _header(arrays.pop("header"))
     except SealError:
@@ -93,11 +97,11 @@ def _check_contents(body: bytes) -> None:
         raise SealError(f"its table of contents has {size} bytes, more than {LARGEST_CONTENTS}")
 
 
-def _check_entries(archive: zipfile.ZipFile) -> None:
+def _check_entries(archive: zipfile.ZipFile, largest: int) -> None:
     """Refuse what `seal` never writes, before a byte of an array is unpacked: names, sizes, kinds of numbers."""
     entries = archive.infolist()
-    if sum(entry.file_size for entry in entries) > LARGEST:
-        raise SealError(f"it unpacks to more than {LARGEST} bytes")
+    if sum(entry.file_size for entry in entries) > largest:
+        raise SealError(f"it unpacks to more than {largest} bytes")
     names = [entry.filename for entry in entries]
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)

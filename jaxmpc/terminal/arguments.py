@@ -21,9 +21,12 @@ def engine_argument(parser: argparse._ActionsContainer) -> None:
 
 
 def params_from(text: str) -> "Params":
-    """A published parameter set by name; a params.toml, or the folder of a tuning run, by path."""
+    """A published parameter set by name, whatever lies here under it; else a params.toml, or a tuning run's folder."""
     from jaxmpc.synthesis.params import Params
+    from jaxmpc.synthesis.published import SETS
 
+    if text in SETS:
+        return Params.published(text)
     if os.path.isdir(text):
         return Params.from_toml(tuned_file(Path(text)))
     return Params.from_toml(text) if _is_path(text) else Params.published(text)
@@ -46,6 +49,8 @@ def experiment_from(text: str) -> "Experiment":
     """A published experiment by name, or a TOML file by path."""
     from jaxmpc.experiment import Experiment
 
+    if Path(text).is_dir():
+        return Experiment.published(text)
     return Experiment.from_toml(text) if _is_path(text) else Experiment.published(text)
 
 

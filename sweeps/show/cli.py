@@ -43,13 +43,15 @@ def show(verb: str, args: argparse.Namespace) -> int:
     for flag in [flag for flag, value in given.items() if value is not None and flag not in TAKES[verb]]:
         takers = " | ".join(other for other, flags in TAKES.items() if flag in flags)
         raise InputError(flag, given[flag], f"left out of `sweep {verb}`", f"It belongs to `jaxmpc sweep {takers}`.")
+    check_file("--csv", args.csv)
+    check_file("--params", args.params)
     limit, n = args.max_ms, 10 if args.n is None else args.n
     if limit is not None and not limit >= 1.0:
         raise InputError("--max-ms", limit, "at least 1", "No loop has a smaller peak sensitivity; 2 is usual.")
     if n < 1:
         raise InputError("-n", n, "at least 1", "Ask for one row or more.")
     from sweeps.result import Result
-    from sweeps.show.best_rows import chance, progress
+    from sweeps.show.best_rows import chance, goal_of, progress
 
     folder = Path(args.what[1])
     result = Result.load(folder)
@@ -69,7 +71,7 @@ def show(verb: str, args: argparse.Namespace) -> int:
         print(row_sheet(shown))
     elif verb == "best":
         shown = result.best(n, limit)
-        print(rows_table(shown, f"best of {len(result)} rows: {result.goal.text}"))
+        print(rows_table(shown, f"best of {len(result)} rows: {goal_of(result, limit).text}"))
         print("".join(f"{line}\n" for line in chance(result, limit)), end="")
     else:
         goals = tuple(name.strip() for name in args.goals.split(",")) if args.goals else ("rms", "M_s")
@@ -85,7 +87,7 @@ def counts(result: "Result") -> str:
 
 
 def _place(result: "Result", text: str) -> "slice":
-    if not text.isdigit():
+    if not (text.isdecimal() and text.isascii() and len(text) < 19):
         raise InputError("row", text, "the number of a row", "`jaxmpc sweep best DIR` lists some.")
     place = result.place(int(text))
     return slice(place, place + 1)
@@ -127,14 +129,15 @@ def _report(result: "Result", folder: Path, args: argparse.Namespace, n: int) ->
     limit = args.max_ms
     out = args.out or folder / "report"
     check_folder("-o", out)
-    check_file("--csv", args.csv)
     out.mkdir(parents=True, exist_ok=True)
     written = [out / "report.html"]
     print("computing the curves of the rows that matter …", file=sys.stderr, flush=True)
     sweep_report(result, written[0], limit)
-    best = result.best(n, limit)
-    if len(best):
-        written.append(out / "best.toml")
+    best, controller = result.best(n, limit), out / "best.toml"
+    if not len(best):
+        controller.unlink(missing_ok=True)  # of an earlier report, which had a row
+    else:
+        written.append(controller)
         note = f"Row {best['row'][0]} of a sweep, result {result.hash}"
         write_toml(written[-1], {"params": best.controller(0).to_dict()}, note)
     if args.csv:

@@ -21,6 +21,7 @@ from jaxmpc.report.side_by_side import PER_AXIS, difference, table
 from jaxmpc.report.thinning import thinned
 from jaxmpc.stability import Margins
 from jaxmpc.synthesis.params import Params
+from jaxmpc.terminal.arguments import experiment_from, params_from
 
 SHORT = """\
 name = "short"
@@ -69,6 +70,24 @@ def test_a_thinned_curve_keeps_its_peaks() -> None:
     assert (y.max(), y.min()) == (5.0, -4.0)
     assert (np.diff(x) >= 0.0).all()
     assert thinned(time[:5], force[:5])[1] is not None
+
+
+@pytest.mark.parametrize("samples", [701, 25_000, 30_000, 60_000])
+def test_a_thinned_curve_keeps_its_end(samples: int) -> None:
+    time, force = np.arange(float(samples)), np.zeros(samples)
+    force[-1], force[-3] = 50.0, np.nan
+    x, y = thinned(time, force)
+    assert len(y) <= 700
+    assert (x[-1], y[-1], np.nanmax(y)) == (samples - 1, 50.0, 50.0)
+    assert (np.diff(x) >= 0.0).all()
+
+
+def test_a_published_name_is_that_whatever_folder_lies_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("cautious", "table-1", "arm-tune"):
+        (tmp_path / name).mkdir()
+    assert params_from("cautious").to_dict() == Params.published("cautious").to_dict()
+    assert experiment_from("table-1").to_dict() == Experiment.published("table-1").to_dict()
 
 
 def test_controllers_come_from_everywhere(tuned: Path) -> None:

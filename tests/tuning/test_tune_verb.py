@@ -77,6 +77,9 @@ def test_a_tuned_controller_comes_with_its_proof(
 def test_goals_that_nobody_meets_end_with_a_sentence(
     small: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    stale = tmp_path / "out" / "params.toml"
+    stale.parent.mkdir()
+    stale.write_text("[params]\n")
     assert verb(tmp_path, small(goals={"M_s": 1.01}, tune={"steps": 3})) == 1
     said = capsys.readouterr().err
     assert "M_s ≤ 1.01 is missed by" in said

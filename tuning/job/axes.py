@@ -119,5 +119,6 @@ def check_axis(axis: FreeParameter, params: Params) -> None:
         remedy = f'Add "{axis.name}" to tune.diagonals, or start from one number.'
         raise InputError(f"params.{axis.name}", "a diagonal", "one number to be tuned as one", remedy)
     if np.any(start < axis.low) or np.any(start > axis.high):
-        remedy = f"The start {start:g} lies outside: move it, or widen the bounds."
+        outside = np.atleast_1d(start)[np.atleast_1d((start < axis.low) | (start > axis.high))][0]
+        remedy = f"The start {outside:g} lies outside: move it, or widen the bounds."
         raise InputError(key, bounds, "around the start point", remedy)

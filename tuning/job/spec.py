@@ -197,7 +197,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def digest(self) -> str:
         """Hash of the whole job, all defaults written out."""
-        return digest(self.to_dict())
+        return digest({**self.to_dict(), "experiment": self.experiment.content})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, every default written out."""

@@ -23,9 +23,11 @@ def write(result: TuneResult, folder: Path) -> list[Path]:
     Returns:
         The files written.
     """
-    written = []
-    if result.met:
-        written.append(folder / "params.toml")
+    written, params = [], folder / "params.toml"
+    if not result.met:
+        params.unlink(missing_ok=True)  # of an earlier run: whoever names the folder would take it for this one's
+    else:
+        written.append(params)
         experiment = result.spec.experiment.name
         comment = f"Tuned by jaxmpc. Freeze it: jaxmpc freeze params.toml --experiment {experiment} -o controller.npz"
         write_toml(written[-1], {"params": result.params.to_dict(), "provenance": provenance(result)}, comment)

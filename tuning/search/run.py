@@ -15,7 +15,7 @@ from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.ahead import Tasks, readied, threads
 from tuning.search.mapping import PROPOSED, refine
 from tuning.search.optimise import descend, schedule
-from tuning.search.state import SearchState
+from tuning.search.state import SearchState, check_folder
 
 SCREENED = 16
 """Random points tried for each start of a descent."""
@@ -59,10 +59,12 @@ def run_search(
         after: What to do of a job on the arm beside its search, such as compiling what comes after that.
 
     Raises:
-        InputError: The fixed gains of a family, which stay, miss a hard goal already.
+        InputError: The fixed gains of a family, which stay, miss a hard goal already; or the folder is of another job.
     """
     _check_fixed(spec)
     jobs = [spec.with_order(order) for order in spec.tune.orders] or [spec]
+    if folder is not None:
+        check_folder(folder, [job.digest for job in jobs])
     with threads() as pool:
         problems = [problem_of(job, training(job, job.tune.train_seeds), spectral=job.on_arm) for job in jobs]
         # Of several, nobody knows which will win.

@@ -1,5 +1,7 @@
 """Everything the descent must remember to go on after a kill, bit for bit."""
 
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,8 @@ from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
 from tuning.objective.loss import Values
 
 NAME = "state.npz"
+LARGEST = 2**31
+"""Largest state that is read [bytes]: 1024 starts keep 100 kB an iteration."""
 FEASIBLE = 1.0
 """Largest normalised goal that counts as met."""
 
@@ -129,6 +133,28 @@ class SearchState:
         return self.feasible and self.iteration - max(self.gained, since) > patience
 
 
+def check_folder(folder: Path, keys: Collection[str]) -> None:
+    """Refuse a folder in which another job, or another version, has left the state of a search of whatever kind.
+
+    Args:
+        folder: Of the results.
+        keys: Specs whose states may be there. Fronts are told apart as each of their legs begins.
+
+    Raises:
+        InputError: Another's is.
+    """
+    for path in sorted(set(folder.glob("state*.npz")) - set(folder.glob("state-pareto*.npz"))):
+        with suppress(SealError):  # told when it is to be read
+            _of_these(unseal(path.read_bytes(), LARGEST)[0], keys, folder)
+
+
+def _of_these(header: Mapping[str, Any], keys: Collection[str], folder: Path) -> None:
+    if header.get("spec") not in keys or header.get("version") != __version__:
+        raise InputError(
+            "-o", folder, "a new folder, or one of this very spec and version", "Choose another or remove it."
+        )
+
+
 def save(folder: Path, key: str, state: SearchState, name: str = NAME) -> None:
     """Write the state, whole or not at all."""
     arrays = {field.name: np.asarray(getattr(state, field.name)) for field in fields(state) if field.name != "memory"}
@@ -146,13 +172,10 @@ def load(folder: Path, key: str, fresh: SearchState, name: str = NAME) -> Search
     if not path.exists():
         return fresh
     try:
-        header, arrays = unseal(path.read_bytes())
+        header, arrays = unseal(path.read_bytes(), LARGEST)
     except SealError as error:
         raise InputError(str(path), "damaged", "an intact state", f"{error}. Remove it to begin anew.") from None
-    if header.get("spec") != key or header.get("version") != __version__:
-        raise InputError(
-            "-o", folder, "a new folder, or one of this very spec and version", "Choose another or remove it."
-        )
+    _of_these(header, (key,), folder)
     leaves, structure = jax.tree.flatten(fresh.memory)
     if sum(name.startswith("memory_") for name in arrays) != len(leaves):
         raise InputError(str(path), "of other metrics", "what this program measures", "Remove it to begin anew.")

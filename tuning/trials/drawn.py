@@ -93,7 +93,7 @@ class Job:
         """sha256 of all that the outcome of a trial depends on; engines and devices differ in rounding alone."""
         controllers = [params.to_dict() for params in self.controllers]
         spread = msgspec.to_builtins(self.spread)
-        return digest([controllers, self.base.to_dict(), spread, self.seed, POOL, COPIES])
+        return digest([controllers, self.base.content, spread, self.seed, POOL, COPIES])
 
     def trial(self, number: int) -> Experiment:
         """The experiment of a trial."""
