@@ -1,6 +1,8 @@
 """From the tables of a sweep's file to its axes."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
@@ -9,10 +11,10 @@ import numpy as np
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys
-from jaxmpc.quantities import PARAMETERS
+from jaxmpc.quantities import HORIZONS, PARAMETERS
 from jaxmpc.synthesis.params import Params
 from sweeps.axis import Scale, SweepAxis, choice_only, make_axis
-from sweeps.rows import world_of
+from sweeps.rows import meetings, world_of
 from sweeps.space import Factor, SpaceKind, SweepSpace, make_space
 from sweeps.tables import RANGE_KEYS, Ends, Range, SweepTable
 from sweeps.targets import read, target
@@ -22,6 +24,8 @@ STIFFNESS_SETS: Mapping[str, tuple[float, ...]] = MappingProxyType(
 )
 """Stiffness sets by name [N/m]: the paper's foams, and the knots of the published family."""
 
+LENGTHS = ("duration", "settle", "reference", "sampling_time")
+"""Keys of the experiment that decide which samples count."""
 MOST_CHECKED = 64
 """Points of a factor that are tried before anything runs."""
 
@@ -60,8 +64,10 @@ def read_space(table: SweepTable, params: Params, experiment: Experiment) -> Swe
             raise InputError("sweep.zip", list(group), "two axes or more", "Write a single axis under [sweep.axes].")
         factors.append(axes)
     _check_bases(factors, params, experiment)
-    for factor in factors:
-        _check_worlds(factor, experiment.to_dict())
+    for each in [*([factor] for factor in factors), factors]:
+        _check_worlds(each, experiment.to_dict())
+        _check_controllers(each, params)
+    _check_scores(factors, experiment.to_dict())
     horizons = (float(params.Hp), float(params.Hu))
     return make_space(table.kind, tuple(factors), table.rows or 0, table.seed or 0, horizons)
 
@@ -89,6 +95,9 @@ def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any]) -
         )
     known_keys(Range, described, key)
     given = convert(described, Range, key)
+    if given.relative and (choice_only(name) or name in HORIZONS):
+        why = "It counts samples: list them." if name in HORIZONS else "It has no values in between."
+        raise InputError(f"{key}.relative", True, "left out", why)
     if given.values is not None:
         if given.linear or given.log or given.points or given.draw:
             raise InputError(key, "values and a range", "one of the two", "Remove the range.")
@@ -111,8 +120,6 @@ def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any]) -
 
 def _listed(name: str, values: list[Any], given: Range, sets: Mapping[str, Any]) -> SweepAxis:
     key = f"sweep.axes.{name}"
-    if given.relative and choice_only(name):
-        raise InputError(f"{key}.relative", True, "left out", "It has no values in between.")
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     if numbers and not choice_only(name):
         return make_axis(name, "list", tuple(map(float, values)), None, relative=given.relative)
@@ -134,21 +141,54 @@ def _frozen(value: Any) -> Any:
     return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
 
 
-def _check_worlds(factor: Factor, data: Mapping[str, Any]) -> None:
-    """Refuse points of a factor that make no experiment with the base; of many points some, the ends among them."""
-    if not any(axis.of_world for axis in factor):
+def _points(factors: list[Factor], wanted: Callable[[SweepAxis], bool]) -> Iterator[tuple[Factor, tuple[float, ...]]]:
+    """Axes that are wanted, and their entries at some points of what the factors multiply to, its ends among them."""
+    kept = [tuple(axis for axis in factor if wanted(axis)) for factor in factors]
+    kept = [factor for factor in kept if factor]
+    if not kept:
         return
-    columns = {axis.name: axis.column() for axis in factor}
-    points = min(map(len, columns.values()))
-    for i in np.unique(np.linspace(0, points - 1, min(points, MOST_CHECKED)).astype(int)):
-        entries = tuple(float(columns[axis.name][i]) for axis in factor if axis.of_world)
-        try:
-            Experiment.from_dict(world_of(data, factor, entries))
-        except InputError as error:
-            axis = next((axis for axis in factor if error.key.startswith(axis.name)), factor[0])
-            value = axis.label(float(columns[axis.name][i]))
-            remedy = f"It makes {error.key} = {error.value}. {error.remedy}" if axis.relative else error.remedy
-            raise InputError(f"sweep.axes.{axis.name}", value, error.bound, remedy) from None
+    shape = [min(len(axis.column()) for axis in factor) for factor in kept]
+    count = math.prod(shape)
+    for i in sorted({round(place) for place in np.linspace(0, count - 1, min(count, MOST_CHECKED))}):
+        places = np.unravel_index(i, shape)
+        entries = [(axis, float(axis.column()[k])) for factor, k in zip(kept, places, strict=True) for axis in factor]
+        yield tuple(axis for axis, _ in entries), tuple(entry for _, entry in entries)
+
+
+def _check_worlds(factors: list[Factor], data: Mapping[str, Any]) -> None:
+    """Refuse points of factors that make no experiment with the base."""
+    for axes, entries in _points(factors, lambda axis: axis.of_world):
+        with _told_of(axes, entries):
+            Experiment.from_dict(world_of(data, axes, entries))
+
+
+def _check_scores(factors: list[Factor], data: Mapping[str, Any]) -> None:
+    """Refuse points of the space whose runs would score nothing."""
+    if any(axis.name.startswith(LENGTHS) for factor in factors for axis in factor):
+        for axes, entries in _points(factors, lambda axis: axis.of_world):
+            with _told_of(axes, entries):
+                _ = Experiment.from_dict(world_of(data, axes, entries)).scored
+
+
+def _check_controllers(factors: list[Factor], params: Params) -> None:
+    """Refuse points of factors that make no controller with the base; horizons that cross are left out of a sweep."""
+    for axes, entries in _points(factors, lambda axis: not axis.of_world and axis.name not in HORIZONS):
+        columns = {axis.name: np.array([entry]) for axis, entry in zip(axes, entries, strict=True)}
+        with _told_of(axes, entries):
+            list(meetings(params, axes, columns, by_world=False))
+
+
+@contextmanager
+def _told_of(axes: Factor, entries: tuple[float, ...]) -> Iterator[None]:
+    """Tell what is wrong of the axis that it comes from."""
+    try:
+        yield
+    except InputError as error:
+        found = dict(zip(axes, entries, strict=True))
+        key = error.key.removeprefix("params.")
+        axis = next((axis for axis in axes if key.startswith(axis.name)), axes[0])
+        remedy = f"It makes {error.key} = {error.value}. {error.remedy}" if axis.relative else error.remedy
+        raise InputError(f"sweep.axes.{axis.name}", axis.label(found[axis]), error.bound, remedy) from None
 
 
 def _check_bases(factors: list[Factor], params: Params, experiment: Experiment) -> None:

@@ -5,11 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import spearmanr
 
+from jaxmpc.report.influence import first_order, stretches
 from sweeps.axis import SweepAxis
 from sweeps.result import Result
-
-BINS = 12
-"""Stretches into which a drawn range is cut."""
 
 
 class Influence(NamedTuple):
@@ -48,26 +46,17 @@ def sensitivity(result: Result, name: str) -> dict[str, Influence]:
 
 
 def _influence(axis: SweepAxis, result: Result, score: np.ndarray, finite: np.ndarray) -> Influence:
-    cells = _cells(axis, result[axis.name], result.plan.space.kind != "grid")
-    size = np.bincount(cells)
-    means = np.bincount(cells, score) / np.maximum(size, 1)
-    variance = float(score.var())
-    between = float((size * (means - score.mean()) ** 2).sum() / len(score))
-    # Means of few rows differ by chance: what chance alone would give is taken off.
-    within = max(variance - between, 0.0)
-    used = int((size > 0).sum())
-    by_chance = within * (used - 1) / max(len(score) - used, 1) if len(score) > used else 0.0
-    share = min(max((between - by_chance) / variance, 0.0), 1.0) if variance > 0.0 else 0.0
+    alone = len(result.axes) == 1 and float(score.std()) > 0.0
+    share = 1.0 if alone else first_order(_cells(axis, result), score)
     entries = result[axis.name][finite]
     varied = axis.numeric and len(np.unique(entries)) > 1 and float(score[finite].std()) > 0.0
     return Influence(share, float(spearmanr(entries, score[finite]).statistic) if varied else float("nan"))
 
 
-def _cells(axis: SweepAxis, entries: np.ndarray, sampled: bool) -> np.ndarray:
-    """Which value, or which stretch of the range, each row has."""
-    if not sampled or axis.scale in ("list", "choice"):
+def _cells(axis: SweepAxis, result: Result) -> np.ndarray:
+    """Which value each row has, or which stretch of a range where rows, drawn or of a refinement, lie anywhere."""
+    entries = result[axis.name]
+    if axis.scale == "choice" or (result.plan.space.kind == "grid" and not result.stages):
         which: np.ndarray = np.unique(entries, return_inverse=True)[1]
         return which
-    edges = np.quantile(entries, np.linspace(0.0, 1.0, BINS + 1)[1:-1])
-    cells: np.ndarray = np.searchsorted(edges, entries, "right")
-    return cells
+    return stretches(entries)

@@ -144,6 +144,8 @@ def make_space(
         bound = f"in [1, Hp (= {ends['Hp'][1]:g})] samples"
         raise InputError("Hu", f"{ends['Hu'][0]:g} or more", bound, "Lower Hu or raise Hp: no row is left.")
     space = SweepSpace(kind, ordered, count, seed, horizons)
-    if kind == "grid" and count <= 1_000_000 and not len(space.rows()):
+    if kind != "random" and count <= 1_000_000 and not len(space.rows()):
         raise InputError("Hu", "above Hp in every row", "at most Hp somewhere", "Lower Hu or raise Hp.")
+    if kind == "random" and set(names) & set(HORIZONS) and np.any(space._crossed(space._sample())):
+        raise InputError("Hu", "hardly ever at most Hp", "so more often", "Lower Hu or raise Hp.")
     return space

@@ -236,8 +236,12 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         return displacement(self.motion, np.arange(self.steps) * self.sampling_time)
 
     @cached_property
-    def signals(self) -> Signals:
-        """Everything that does not depend on the controller, computed once on the host."""
+    def scored(self) -> tuple[np.ndarray, np.ndarray]:
+        """Wanted force [N] and whether a sample counts in the metrics, as in `Signals`.
+
+        Raises:
+            InputError: None counts.
+        """
         t = np.arange(self.steps) * self.sampling_time
         horizon = HP_MAX if self.reference.preview else 0
         ahead = np.arange(self.steps + horizon) * self.sampling_time
@@ -245,5 +249,11 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         score = (t >= self.settle)[:, None] & ~np.stack(ramps, 1)[: self.steps]
         if not score.any(axis=0).all():
             raise InputError("settle", self.settle, "shorter", "No sample is left to score: all are settling or ramps.")
+        return np.stack(wanted, 1), score
+
+    @cached_property
+    def signals(self) -> Signals:
+        """Everything that does not depend on the controller, computed once on the host."""
+        wanted, score = self.scored
         noise = np.random.Generator(np.random.Philox([self.sensor.seed, 1])).standard_normal((self.steps, 3))
-        return Signals(self.heart[0], self.sensor.noise * noise, np.stack(wanted, 1), score)
+        return Signals(self.heart[0], self.sensor.noise * noise, wanted, score)

@@ -64,7 +64,8 @@ def show(verb: str, args: argparse.Namespace) -> int:
     from sweeps.show.tables import row_sheet, rows_table, sensitivity_table
 
     if verb == "sensitivity":
-        print(sensitivity_table(result))
+        # The best alone, run once more, tell little of what matters.
+        print(sensitivity_table(result.explored))
         return 0 if args.params is None else _written(result.best(1, limit), args)
     if verb == "row":
         shown = result.take(_place(result, args.what[2]))

@@ -20,6 +20,7 @@ from jaxmpc.synthesis.params import Params
 from sweeps.judged import Point
 from sweeps.plan import Plan
 from sweeps.result import Result
+from sweeps.sensitivity import sensitivity
 from sweeps.show.best_rows import table
 from sweeps.show.candidates import candidates, template
 from sweeps.show.cli import TAKES
@@ -189,6 +190,19 @@ def test_what_best_shows_is_headed_by_the_limit_it_was_asked_with(
 @pytest.mark.parametrize("row", ["²", "9" * 5000, "-1", "x"])
 def test_no_number_of_a_row(row: str, finished: Finished, command: Callable[..., int]) -> None:
     assert command("sweep", "row", finished[0], row) == 2
+
+
+@pytest.mark.parametrize("rows", [20, 60, 400])
+def test_an_axis_without_effect_explains_little_where_no_value_stands_twice(rows: int, finished: Finished) -> None:
+    """As in a refined sweep, whose rows lie anywhere, though its first stage was a grid."""
+    random, result = np.random.default_rng(rows), finished[1]
+    lam, T_cl = np.exp(random.uniform(-7, 2, rows)), random.uniform(1e-3, 2e-2, rows)
+    made = made_up(np.stack([lam**0.2, np.full(rows, 1.5)], axis=1), np.full((rows, 2), Status.OK), result.plan)
+    columns = {**made.columns, "lam": lam, "T_cl": T_cl, "Hp": np.full(rows, 10.0)}
+    found = sensitivity(replace(made, columns=columns, stages=(("0-full", result),)), "rms")
+    assert found["lam"].share > 0.5
+    assert found["T_cl"].share < 0.35
+    assert found["Hp"].share == 0.0
 
 
 def test_stages_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:

@@ -175,6 +175,35 @@ def test_axes_that_name_nothing_are_refused_in_words(axes: str, write_spec: Writ
     assert command("sweep", path, "--dry-run") == 2
 
 
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        ("disturbance_order = [1, 2, 7]\nQ_p = [0.5, 1.0]", "sweep.axes.disturbance_order = 7"),
+        ('architecture = ["mpc-aob", "nonsense"]', "sweep.axes.architecture = nonsense"),
+        ("K2 = [[1.0, 2.0], [3.0, 4.0]]", "sweep.axes.K2"),
+        ("lam = { values = [-1.0, 2.0], relative = true }", "sweep.axes.lam = -1"),
+        ("settle = [0.5, 1.5]\nduration = [1.0, 2.0]", "sweep.axes.settle = 1.5"),
+        ("Hp = { values = [0.5, 1.0], relative = true }", "sweep.axes.Hp.relative"),
+    ],
+)
+def test_one_bad_value_is_refused_before_it_loses_the_rows_beside_it(
+    axes: str, words: str, write_spec: Write, command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    experiment = '[experiment]\npublished = "table-1"\nduration = 2.0\nsettle = 0.5\nreference = { z = -5.0 }\n'
+    text = f'{experiment}[sweep]\nkind = "grid"\n[sweep.axes]\n{axes}\n'
+    assert command("sweep", write_spec(text), "--dry-run") == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["sobol", "random"])
+def test_a_sample_whose_horizons_always_cross_is_refused(
+    kind: str, write_spec: Write, command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sample = f'[sweep]\nkind = "{kind}"\nrows = 8\n[[sweep.zip]]\nHp = [4, 10]\nHu = [5, 15]\n'
+    assert command("sweep", write_spec(f'[experiment]\npublished = "table-1"\n{sample}'), "--dry-run") == 2
+    assert "Hu" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("part", ["²/3", "1/²", f"1/{'9' * 5000}"])
 def test_a_part_is_two_plain_numbers(part: str, write_spec: Write, spec_text: str, command: Command) -> None:
     assert command("sweep", write_spec(spec_text), "--part", part) == 2

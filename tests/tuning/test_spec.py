@@ -1,6 +1,7 @@
 """Specs: what is read, and what is refused with file, line, key and remedy."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -105,6 +106,27 @@ def test_a_wrong_spec_is_refused(tmp_path: Path, text: str, key: str, says: str,
     assert says in str(caught.value)
     assert caught.value.file == tmp_path / "tune.toml"
     assert caught.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [
+        ({"experiment": {"duration": 2.0, "settle": 1.0}}, "settle"),
+        ({"tune": {"duration": 2.0, "settle": 1.0}}, "tune.settle"),
+        ({"params": {"published": "mpc-alone"}, "tune": {"orders": [1, 2]}}, ""),
+    ],
+)
+def test_what_the_proof_could_not_run_is_refused_before_the_search(table: dict[str, Any], key: str) -> None:
+    """Table I's ramp lasts 1 s: of 2 s of which one settles nothing is left to score."""
+    with pytest.raises(InputError) as caught:
+        TuneSpec.from_dict(table)
+    assert caught.value.key.startswith(key)
+
+
+def test_a_start_of_many_numbers_outside_its_bounds_is_told_by_the_first_of_them() -> None:
+    table = {"params": {"lam": [0.1, 2.0]}, "tune": {"diagonals": ["lam"], "free": {"lam": [1.0, 10.0]}}}
+    with pytest.raises(InputError, match=r"start 0\.1 lies outside"):
+        TuneSpec.from_dict(table)
 
 
 def test_python_meets_the_same_checks() -> None:

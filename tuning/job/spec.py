@@ -79,6 +79,17 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
                     raise InputError(f"tune.{key}", name, "a free parameter", remedy)
         for axis in self.space.axes:
             check_axis(axis, self.space.base)
+        self._check_lengths()
+        for order in self.tune.orders:
+            self.with_order(order)
+
+    def _check_lengths(self) -> None:
+        """Refuse runs in which nothing would count, those of the proof too, which come last."""
+        _ = self.experiment.scored
+        try:
+            _ = msgspec.structs.replace(self.experiment, duration=self.tune.duration, settle=self.tune.settle).scored
+        except InputError as error:
+            raise InputError(f"tune.{error.key}", error.value, error.bound, error.remedy) from None
 
     def _check_knots(self) -> None:
         """Refuse what would leave a knot without a judge."""
