@@ -19,9 +19,9 @@ from jaxmpc.synthesis.params import Params
 from sweeps.goal import SweepGoal
 from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
+from sweeps.targets import RECORDING
 
 SCHEMA = "jaxmpc-sweep/2"
-RECORDING = "motion.file"
 _SHA = "sha256:"
 
 Columns = dict[str, np.ndarray]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -17,7 +18,7 @@ from sweeps.axis import Scale, SweepAxis, choice_only, make_axis
 from sweeps.rows import meetings, world_of
 from sweeps.space import Factor, SpaceKind, SweepSpace, make_space
 from sweeps.tables import RANGE_KEYS, Ends, Range, SweepTable
-from sweeps.targets import read, target
+from sweeps.targets import RECORDING, read, target
 
 STIFFNESS_SETS: Mapping[str, tuple[float, ...]] = MappingProxyType(
     {"paper": (375.0, 810.0, 1900.0), "family": (375.0, 550.0, 810.0, 1250.0, 1900.0)}
@@ -42,8 +43,8 @@ def stiffness_set(name: str, own: Mapping[str, Any], key: str) -> tuple[float, .
     return tuple(map(float, known[name]))
 
 
-def read_space(table: SweepTable, params: Params, experiment: Experiment) -> SweepSpace:
-    """The points that a table describes.
+def read_space(table: SweepTable, params: Params, experiment: Experiment, folder: Path = Path()) -> SweepSpace:
+    """The points that a table describes; recordings are looked for in the folder.
 
     Raises:
         InputError: Names key, value, bound and remedy.
@@ -57,9 +58,11 @@ def read_space(table: SweepTable, params: Params, experiment: Experiment) -> Swe
             remedy = f'Remove {key}, or set kind = "random".'
             raise InputError(f"sweep.{key}", value, "left out of a grid", remedy)
     own, kind = table.stiffness_sets, table.kind
-    factors: list[Factor] = [(_axis(name, each, kind, own),) for name, each in flattened(table.axes)]
+    factors: list[Factor] = [
+        (_axis(name, _beside(name, each, folder), kind, own),) for name, each in flattened(table.axes)
+    ]
     for group in table.zip:
-        axes = tuple(_axis(name, each, kind, own) for name, each in flattened(group))
+        axes = tuple(_axis(name, _beside(name, each, folder), kind, own) for name, each in flattened(group))
         if len(axes) < 2:
             raise InputError("sweep.zip", list(group), "two axes or more", "Write a single axis under [sweep.axes].")
         factors.append(axes)
@@ -70,6 +73,17 @@ def read_space(table: SweepTable, params: Params, experiment: Experiment) -> Swe
     _check_scores(factors, experiment.to_dict())
     horizons = (float(params.Hp), float(params.Hu))
     return make_space(table.kind, tuple(factors), table.rows or 0, table.seed or 0, horizons)
+
+
+def _beside(name: str, described: Any, folder: Path) -> Any:
+    """The same axis; recordings are looked for in a folder."""
+    if name != RECORDING:
+        return described
+    if isinstance(described, dict):
+        return {key: _beside(name, value, folder) if key == "values" else value for key, value in described.items()}
+    if isinstance(described, list):
+        return [str(folder / file) if isinstance(file, str) else file for file in described]
+    return described
 
 
 def flattened(axes: Mapping[str, Any], root: str = "") -> Iterator[tuple[str, Any]]:

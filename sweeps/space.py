@@ -128,6 +128,9 @@ def make_space(
     names = [axis.name for axis in axes]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"sweep.axes.{twice}", "swept twice", "swept once", "Remove one of the two.")
+    for part in names:
+        if whole := next((name for name in names if part.startswith(f"{name}.")), None):
+            raise InputError(f"sweep.axes.{part}", f"part of {whole}", "swept once", "Remove one of the two.")
     for factor in factors if kind == "grid" else ():
         lengths = {axis.name: len(axis.values) for axis in factor}
         if len(set(lengths.values())) > 1:

@@ -91,7 +91,7 @@ class SweepSpec:
         params = params_table(data.get("params", {}), folder)
         limits = {} if table.constraints is None else {"constraints": table.constraints}
         goal = SweepGoal(table.best, decide=table.decide, **limits)
-        space = read_space(table, params, experiment)
+        space = read_space(table, params, experiment, folder)
         _check_filters(space, params)
         kept = columns_kept(table.columns, goal)
         spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)

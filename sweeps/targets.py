@@ -41,6 +41,8 @@ UNITS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Units of the experiment's keys; one that is not here has none, or says its own in `jaxmpc.experiment`."""
+RECORDING = "motion.file"
+"""The key whose values are files, which count by their content."""
 SIGNALS = ("motion.", "reference.", "sensor.noise", "sensor.seed", "settle", "duration", "sampling_time", "tissue.")
 """Beginnings of the keys on which the signals of a scene depend: the rest are numbers beside them."""
 _SUBSTEPS = ("arm.substeps", "arm.integrator", "physics")

@@ -71,7 +71,9 @@ def run(args: argparse.Namespace) -> int:
     ratios = _ratios(contenders, experiment) if args.limit else None
     found = compared(contenders, experiment, seeds, ratios=ratios, said=_progress)
     whole = table(found)
-    note = f", differences over {args.seeds} drawn motions ± 95 %, * where that does not hold zero" if seeds else ""
+    note = (
+        f", differences over {args.seeds} {experiment.draws} ± 95 %, * where that does not hold zero" if seeds else ""
+    )
     show(f"side by side{note}", whole.head, whole.rows)
     args.output.parent.mkdir(parents=True, exist_ok=True)
     write_report(report_of(found), args.output)

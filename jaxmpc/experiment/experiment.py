@@ -206,6 +206,12 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         return msgspec.structs.replace(self, motion=motion, sensor=msgspec.structs.replace(self.sensor, seed=seed))
 
     @property
+    def draws(self) -> str:
+        """What differs from seed to seed, in words."""
+        moved = self.motion.kind in ("harmonics", "rhythm")
+        return "drawn motions" if moved else "drawn noises, on one motion,"
+
+    @property
     def limited(self) -> bool:
         """Whether it is an arm within a robot's limits, not one whose joints give whatever is asked for."""
         return self.physics != "linear" and any((*self.arm.joint_torque_limit, *self.arm.torque_step_limit))

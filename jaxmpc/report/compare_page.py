@@ -28,7 +28,7 @@ def report_of(found: Comparison) -> Report:
     lead = [f"{one.name}: {one.origin}." for one in contenders]
     words = f"On {experiment.name}, {experiment.duration:g} s, physics {experiment.physics}."
     if seeds:
-        words += f" Differences are means over {seeds} drawn motions that all met, ± the half-width of their "
+        words += f" Differences are means over {seeds} {experiment.draws} that all met, ± the half-width of their "
         words += f"{100 * CONFIDENCE:.0f} % interval (Student, paired); * where it does not hold zero."
     sections = [
         Section("Side by side", [words], [table(found)]),

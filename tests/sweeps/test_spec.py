@@ -204,6 +204,34 @@ def test_a_sample_whose_horizons_always_cross_is_refused(
     assert "Hu" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("axis", ['["a.csv", "b.csv"]', '{ values = ["a.csv", "b.csv"] }', '"a.csv"', "7"])
+def test_recordings_are_looked_for_beside_the_spec(
+    axis: str, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in "ab":
+        rows = "".join(f"{0.01 * t},0,0,{1e-6 * t}\n" for t in range(101))
+        (tmp_path / f"{name}.csv").write_text(f"t,x,y,z\n{rows}")
+    spec = tmp_path / "spec.toml"
+    spec.write_text(
+        '[experiment]\npublished = "table-1"\nmotion = { kind = "recording", file = "a.csv", repeat = true }\n'
+        f'[sweep]\nkind = "grid"\n[sweep.axes]\n"motion.file" = {axis}\n'
+    )
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    listed = "b.csv" in axis
+    assert command("sweep", spec, "--dry-run") == (0 if listed else 2), capsys.readouterr().err
+    assert listed or "motion.file" in capsys.readouterr().err
+
+
+def test_a_vector_and_its_entry_are_not_both_swept(
+    write_spec: Write, command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = '[experiment]\npublished = "table-1-wam"\n[sweep]\nkind = "grid"\n[sweep.axes]\n'
+    axes = '"arm.coulomb.2" = [0.1, 0.2]\n"arm.coulomb" = [[1.0, 1.0, 1.0, 1.0], [2.0, 1.0, 1.0, 1.0]]\n'
+    assert command("sweep", write_spec(text + axes), "--dry-run") == 2
+    assert "part of arm.coulomb" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("part", ["²/3", "1/²", f"1/{'9' * 5000}"])
 def test_a_part_is_two_plain_numbers(part: str, write_spec: Write, spec_text: str, command: Command) -> None:
     assert command("sweep", write_spec(spec_text), "--part", part) == 2

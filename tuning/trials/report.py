@@ -104,7 +104,10 @@ def write_csv(path: Path, trials: Sequence[Experiment], names: Sequence[str], fo
 def write_trial(path: Path, trial: Experiment, comment: str) -> None:
     """A trial as an experiment's file, for `jaxmpc simulate`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_toml(path, trial.to_dict(), comment)
+    data = trial.to_dict()
+    if file := data["motion"]["file"]:
+        data["motion"]["file"] = str(Path(file).absolute())  # else it would be looked for beside the trial
+    write_toml(path, data, comment)
 
 
 def trials_report(
