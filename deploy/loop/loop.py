@@ -27,8 +27,8 @@ LINGER = 1.0
 """How long the arm is still held once nothing leads on, before it is let go [s]."""
 LETTING_GO = 0.05
 """How long zero torque and idle are repeated at the end [s]: a frame can be lost."""
-INSISTING = 1.1
-"""How much longer idle is tried where the bus took no such order, longer than `Bus` holds frames back [s]."""
+INSISTING = 0.85
+"""How much longer there is for an order to idle where the bus has taken none [s]: a run ends within a second."""
 IDLE_EVERY = 10
 """Cycles between two orders to idle."""
 STATES, REASONS = tuple(OperatingState), tuple(Reason)
@@ -96,7 +96,9 @@ class Loop:
         self._cycle, self._clock, self._period = cycle, clock, period
         self._recorder, self._watchdog, self._each, self._log = recorder, watchdog, each, log
         self.statistics = Statistics(period)
-        self._contact, self._on = 0, False
+        self._contact = 0
+        # Whether pucks may be driven, as far as the bus has taken frames; and whether any order to idle was tried.
+        self._on = self._ordered = False
 
     def run(self, command: OperatorCommand) -> RunResult:
         """Run until the arm has been let go.
@@ -142,13 +144,14 @@ class Loop:
                 return RunResult(result.safety_state, self._contact)
 
     def _let_go(self, deadline: int) -> None:
-        """Send zero torque and idle, several times; where no order to idle was taken, try on.
+        """Send zero torque and idle, several times; where no order to idle was taken, wait and try for the last time.
 
         Then there are no more beats either, so that the watchdog tries by its own connection.
         """
         arm = self._cycle.arm
         zero = arm.torque_frame((0.0, 0.0, 0.0, 0.0))
-        for i in range(round((LETTING_GO + INSISTING) * 1e9 / self._period)):
+        cycles = round((LETTING_GO + INSISTING) * 1e9 / self._period)
+        for i in range(cycles):
             insisting = i * self._period >= LETTING_GO * 1e9
             if insisting and not self._on:
                 return
@@ -156,29 +159,34 @@ class Loop:
             arm.bus.drain()
             if arm.bus.state == "active":
                 self._hand_over(zero)
-            if i % IDLE_EVERY == 0:
+                if i % IDLE_EVERY == 0:
+                    self._idle()
+            elif i == cycles - 1 or not self._ordered:
                 self._idle()
             if self._watchdog is not None and not insisting:
                 self._watchdog.beat(self._clock.now(), self._on)
 
     def _send(self, result: CycleResult, woke: int) -> None:
-        arm, now, frame = self._cycle.arm, self._clock.now(), result.frame
+        arm, frame = self._cycle.arm, result.frame
         # Stopped between measuring and sending, this cycle must not act on what is old by now.
-        if now - woke > HELD * self._period or (self._watchdog is not None and self._watchdog.fired):
+        if self._clock.now() - woke > HELD * self._period or (self._watchdog is not None and self._watchdog.fired):
             frame = arm.torque_frame((0.0, 0.0, 0.0, 0.0))
-        off = result.task is Task.OFF
+        off, now = result.task is Task.OFF, result.safety_state
         self._on = self._on or not off
-        # After an error few frames are still tried, and an idle puck asks for no zero.
-        if not off or arm.bus.state == "active":
+        # After an error few frames are still tried: an order to idle at once, another soon, and the last in `_let_go`.
+        refused = off and arm.bus.state != "active"
+        if not refused:
             self._hand_over(frame)
         # An undriven puck left in torque mode would go on with the last command it heard.
-        if off and result.safety_state.state is OperatingState.FAULT and result.safety_state.cycles % IDLE_EVERY == 0:
+        due = now.cycles % IDLE_EVERY == 0 and not (refused and now.cycles > IDLE_EVERY)
+        if off and now.state is OperatingState.FAULT and due:
             self._idle()
 
     def _idle(self) -> None:
         pucks, module = self._cycle.arm.idle_frames()
         assert check_service(pucks) is None
         assert check_service(module) is None
+        self._ordered = True
         # A bus that refuses the one takes few frames more: they are for the pucks.
         if self._cycle.arm.bus.send(pucks):
             self._on = False
