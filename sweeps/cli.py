@@ -230,8 +230,9 @@ def _part(text: str | None) -> tuple[int, int]:
     """
     if text is None:
         return 1, 1
+    from sweeps.targets import numbered
+
     k, _, n = text.partition("/")
-    numbers = all(each.isdecimal() and each.isascii() and len(each) < 10 for each in (k, n))
-    if not (numbers and 1 <= int(k) <= int(n)):
+    if not (numbered(k) and numbered(n) and 1 <= int(k) <= int(n)):
         raise InputError("--part", text, "K/N with 1 ≤ K ≤ N", "Write 2/3 for the second of three.")
     return int(k), int(n)

@@ -88,14 +88,14 @@ def target(name: str) -> Target:
     if name in STRUCTURAL:
         return Target(name, "params", "-")
     head, _, last = name.rpartition(".")
-    whole = head if _numbered(last) else name
+    whole = head if numbered(last) else name
     if whole not in known_names() or whole in (*PARAMETERS, *STRUCTURAL):
         raise InputError(f"sweep.axes.{name}", "swept", "a known parameter or key", nearest(name, known_names()))
     return Target(name, "experiment", UNITS.get(whole, "-"))
 
 
-def _numbered(part: str) -> bool:
-    """Whether a part of a name is the number of an entry."""
+def numbered(part: str) -> bool:
+    """Whether a word is a plain number, of an entry or a row: in other scripts' digits, or of thousands, it is none."""
     return part.isascii() and part.isdecimal() and len(part) < 10
 
 
@@ -111,7 +111,7 @@ def read(name: str, params: Params, experiment: Mapping[str, Any]) -> Any:
     found: Any = experiment
     for part in name.split("."):
         try:
-            found = found[int(part)] if _numbered(part) else found[part]
+            found = found[int(part)] if numbered(part) else found[part]
         except (IndexError, TypeError, KeyError):
             raise InputError(f"sweep.axes.{name}", part, "an entry that is there", "Count from 0.") from None
     return found

@@ -88,7 +88,9 @@ def counts(result: "Result") -> str:
 
 
 def _place(result: "Result", text: str) -> "slice":
-    if not (text.isdecimal() and text.isascii() and len(text) < 19):
+    from sweeps.targets import numbered
+
+    if not numbered(text):
         raise InputError("row", text, "the number of a row", "`jaxmpc sweep best DIR` lists some.")
     place = result.place(int(text))
     return slice(place, place + 1)

@@ -18,7 +18,7 @@ from tuning.proof.sensitivities import sensitivities, vector_of
 from tuning.search.corrected import values_and_slopes
 from tuning.search.front import handed_on, table
 from tuning.search.run import SAME, proposed, run_search
-from tuning.search.state import NAME, SearchState, check_folder, load, save
+from tuning.search.state import NAME, SearchState, check_states, load, save
 
 Job = Callable[..., dict[str, Any]]
 
@@ -68,11 +68,11 @@ def test_a_folder_with_the_state_of_another_job_is_refused_whatever_its_name(
     own = [spec.with_order(order).digest for order in (1, 2)]
     state = state_of([1.0], np.zeros((1, 1)), np.ones((1, 1)))
     save(tmp_path, own[1], state, name)
-    check_folder(tmp_path, own)
+    check_states(tmp_path, own)
     with pytest.raises(InputError, match="very spec"):
-        check_folder(tmp_path, [spec.digest])
+        check_states(tmp_path, [spec.digest])
     (tmp_path / name).write_bytes(b"damaged")
-    check_folder(tmp_path, [spec.digest])
+    check_states(tmp_path, [spec.digest])
 
 
 def test_a_state_of_the_largest_search_is_read_again(tmp_path: Path) -> None:

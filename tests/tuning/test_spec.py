@@ -113,7 +113,7 @@ def test_a_wrong_spec_is_refused(tmp_path: Path, text: str, key: str, says: str,
     [
         ({"experiment": {"duration": 2.0, "settle": 1.0}}, "settle"),
         ({"tune": {"duration": 2.0, "settle": 1.0}}, "tune.settle"),
-        ({"params": {"published": "mpc-alone"}, "tune": {"orders": [1, 2]}}, ""),
+        ({"params": {"published": "mpc-alone"}, "tune": {"orders": [1, 2]}}, "disturbance_order"),
     ],
 )
 def test_what_the_proof_could_not_run_is_refused_before_the_search(table: dict[str, Any], key: str) -> None:

@@ -48,68 +48,62 @@ class Watchdog:
         return True
 
 
-@pytest.mark.parametrize("refused_ms", [3, 10, 30, 300])
-def test_the_arm_is_let_go_once_frames_are_taken_again(plain, refused_ms):
-    """The safety module's own patience with a silent bus is set so long that it cannot help."""
-    twin = Twin(TwinSettings(gap=0.003, motion=motion_named("none"), heartbeat_s=10.0))
-    clock = LockstepClock(twin)
-    driver, watchdog, log = Refusing(clock), Watchdog(), []
-    bus = Bus(driver, clock.now)
-    options = Options(
-        from_words("0,0,-5@2", rate=5.0, largest=10.0),
-        turns=False,
-        tare=False,
-        log=lambda frame, stamp, sent: log.append((stamp, frame.id, frame.data)),
-    )
-    session = Session(plain, bus, clock, options, lambda sentence: None)
-    cycles = 0
+def fly(plain, driver, clock, happen, log=None):
+    """A run in which something happens in contact; how it ended, and the watchdog's beats."""
+    options = Options(from_words("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False, log=log)
+    session = Session(plain, Bus(driver, clock.now), clock, options, lambda sentence: None)
+    watchdog, cycles = Watchdog(), 0
 
     def each(result):
         nonlocal cycles
         cycles += 1
         if cycles == 50:
-            twin.press("activate")
+            clock.twin.press("activate")
         if cycles == CONTACT:
             assert result.safety_state.state is OperatingState.CONTACT
-            driver.begins = clock.now() + MS // 10
-            driver.ends = driver.begins + refused_ms * MS
+            happen(session)
         return OperatorCommand(True, True)
 
-    ended = session.run(OperatorCommand(True, True), watchdog, each)
+    return session.run(OperatorCommand(True, True), watchdog, each), watchdog.beats
+
+
+@pytest.fixture
+def clock():
+    """Of a twin whose safety module is so patient with a silent bus that it cannot help."""
+    return LockstepClock(Twin(TwinSettings(gap=0.003, motion=motion_named("none"), heartbeat_s=10.0)))
+
+
+@pytest.mark.parametrize("refused_ms", [3, 10, 30, 300])
+def test_the_arm_is_let_go_once_frames_are_taken_again(plain, clock, refused_ms):
+    driver, log = Refusing(clock), []
+
+    def happen(session):
+        driver.begins = clock.now() + MS // 10
+        driver.ends = driver.begins + refused_ms * MS
+
+    ended, beats = fly(plain, driver, clock, happen, lambda frame, stamp, sent: log.append((frame.id, frame.data)))
     assert (ended.safety_state.state, ended.safety_state.reason) == (OperatingState.FAULT, Reason.BUS_ERROR)
-    assert not any(puck.driving for puck in twin.pucks)
+    assert not any(puck.driving for puck in clock.twin.pucks)
     idle = next(at for at, number, data in driver.taken if at >= driver.ends and number == 0x404 and data[0] & 0x80)
-    assert all(
-        on for at, on in watchdog.beats if driver.begins <= at < idle - MS
-    )  # it would have acted, had the controller died meanwhile
+    # Until then the watchdog would have acted, had the controller died.
+    assert all(on for at, on in beats if driver.begins <= at < idle - MS)
     if refused_ms <= 10:
-        assert not watchdog.beats[-1][1]
+        assert not beats[-1][1]
     else:
         # Beats have ended, and with torques on: the watchdog has tried by a connection of its own.
-        assert watchdog.beats[-1][1]
-        assert idle - watchdog.beats[-1][0] > 100 * MS
-    torques = [(at, number, data) for at, number, data in driver.taken if number == 0x401]
-    assert [each[1:] for each in log] == [each[1:] for each in torques][-len(log) :]
+        assert beats[-1][1]
+        assert idle - beats[-1][0] > 100 * MS
+    assert log == [(number, data) for _, number, data in driver.taken if number == 0x401]
 
 
-def test_a_program_that_fails_while_frames_are_refused_lets_go_all_the_same(plain):
-    twin = Twin(TwinSettings(gap=0.003, motion=motion_named("none"), heartbeat_s=10.0))
-    clock = LockstepClock(twin)
-    driver, cycles = Refusing(clock), 0
-    options = Options(from_words("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False)
-    session = Session(plain, Bus(driver, clock.now), clock, options, lambda sentence: None)
+def test_a_program_that_fails_while_frames_are_refused_lets_go_all_the_same(plain, clock):
+    driver = Refusing(clock)
 
-    def each(result):
-        nonlocal cycles
-        cycles += 1
-        if cycles == 50:
-            twin.press("activate")
-        if cycles == CONTACT:
-            driver.begins, driver.ends = clock.now(), clock.now() + 30 * MS
-            session.arm.bus.send(Frame(0x404, b"\x30"))
-            raise RuntimeError("a defect")
-        return OperatorCommand(True, True)
+    def happen(session):
+        driver.begins, driver.ends = clock.now(), clock.now() + 30 * MS
+        session.arm.bus.send(Frame(0x404, b"\x30"))
+        raise RuntimeError("a defect")
 
     with pytest.raises(RuntimeError, match="a defect"):
-        session.run(OperatorCommand(True, True), Watchdog(), each)
-    assert not any(puck.driving for puck in twin.pucks)
+        fly(plain, driver, clock, happen)
+    assert not any(puck.driving for puck in clock.twin.pucks)

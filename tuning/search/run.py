@@ -15,7 +15,7 @@ from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.ahead import Tasks, readied, threads
 from tuning.search.mapping import PROPOSED, refine
 from tuning.search.optimise import descend, schedule
-from tuning.search.state import SearchState, check_folder
+from tuning.search.state import SearchState, check_states
 
 SCREENED = 16
 """Random points tried for each start of a descent."""
@@ -64,7 +64,7 @@ def run_search(
     _check_fixed(spec)
     jobs = [spec.with_order(order) for order in spec.tune.orders] or [spec]
     if folder is not None:
-        check_folder(folder, [job.digest for job in jobs])
+        check_states(folder, [job.digest for job in jobs])
     with threads() as pool:
         problems = [problem_of(job, training(job, job.tune.train_seeds), spectral=job.on_arm) for job in jobs]
         # Of several, nobody knows which will win.

@@ -133,7 +133,7 @@ class SearchState:
         return self.feasible and self.iteration - max(self.gained, since) > patience
 
 
-def check_folder(folder: Path, keys: Collection[str]) -> None:
+def check_states(folder: Path, keys: Collection[str]) -> None:
     """Refuse a folder in which another job, or another version, has left the state of a search of whatever kind.
 
     Args:
