@@ -51,7 +51,8 @@ class Watchdog:
 def fly(plain, driver, clock, happen, log=None):
     """A run in which something happens in contact; how it ended, and the watchdog's beats."""
     options = Options(from_words("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False, log=log)
-    session = Session(plain, Bus(driver, clock.now), clock, options, lambda sentence: None)
+    bus = Bus(driver, clock.now)
+    session = Session(plain, bus, clock, options, lambda sentence: None)
     watchdog, cycles = Watchdog(), 0
 
     def each(result):
@@ -64,7 +65,10 @@ def fly(plain, driver, clock, happen, log=None):
             happen(session)
         return OperatorCommand(True, True)
 
-    return session.run(OperatorCommand(True, True), watchdog, each), watchdog.beats
+    try:
+        return session.run(OperatorCommand(True, True), watchdog, each), watchdog.beats
+    finally:
+        bus.close()
 
 
 @pytest.fixture
