@@ -63,6 +63,9 @@ class Apart:
             ChildProcessError: The process has ended before, as by a lack of memory.
         """
         try:
+            # Python hears a Ctrl-C between two of its own steps: one that strikes just before a wait is heard after it.
+            while not self._answer.poll(timeout=1.0):
+                continue
             failed, found = self._answer.recv()
         except EOFError:
             self._process.join()

@@ -1,9 +1,11 @@
 """A process of its own gives back what comes of it, tells what fails in it, and hears no Ctrl-C."""
 
+import _thread
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -61,6 +63,20 @@ def test_its_end_does_not_wait_for_the_function() -> None:
     began = time.monotonic()
     with Apart(time.sleep, 60.0):
         pass
+    assert time.monotonic() - began < 30.0
+
+
+def test_ctrl_c_just_before_a_wait_ends_it() -> None:
+    # Its flag is set and no system call is broken off, as where it strikes between Python's last look and the call.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    began = time.monotonic()
+    try:
+        with Apart(time.sleep, 60.0) as apart:
+            threading.Timer(0.5, _thread.interrupt_main).start()
+            with pytest.raises(KeyboardInterrupt):
+                apart.result()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert time.monotonic() - began < 30.0
 
 
