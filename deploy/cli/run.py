@@ -115,6 +115,8 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     if (args.arm is not None or not args.lockstep) and not _armed(args.arm, digest):
         print("jaxmpc run: not armed; nothing moved", file=sys.stderr)
         return 1
+    if not args.lockstep:
+        session.unmoved()
     auto = args.lockstep or args.start == "auto"
     keys = not auto and args.reference != "-"
     if not auto:

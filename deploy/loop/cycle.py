@@ -23,6 +23,7 @@ from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import Observations, OperatingState, SafetyState, Task
 from deploy.safety.overshoot import Pushes, pushed
 from deploy.safety.plausible import EncoderState, ForceState, beyond_stop, encoder_step, force_step
+from deploy.safety.posture import displaced
 from deploy.safety.reasons import Reason
 from deploy.wam.arm import WamArm
 from deploy.wam.encoder_bridge import EncoderBridge
@@ -92,6 +93,7 @@ class Cycle:
         hook: Callable[[Vector3], Vector3] | None = None,
         estimate: ForceEstimate | None = None,
         deepest: float = inf,
+        posture: Vector4 | None = None,
     ) -> None:
         """Assemble the cycle before motion.
 
@@ -106,6 +108,7 @@ class Cycle:
             hook: What becomes of a measured force on its way, to inject faults that no CAN frame can hold.
             estimate: The force as the motors tell it; None leaves the sensor's scale and sign unchecked.
             deepest: Travel in contact beyond which the softest promised tissue gives more than the limit [m].
+            posture: Joint angles that the controller was made for [rad]; None lets the approach begin anywhere.
 
         Raises:
             InputError: The pucks, or the limits, are not fit for this.
@@ -116,6 +119,7 @@ class Cycle:
         self.checker = Checker(limits, T_s, pucks.ipnm, (1, 2, 3, 4), tool_length)
         self._bounds = bounds(limits, T_s, pucks.ipnm)
         self._turns, self._hook, self._T_s, self._tip_kinematics = turns, hook, T_s, tip_kinematics
+        self._posture = posture
         self._bridge = EncoderBridge(arm.counts)
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
@@ -151,7 +155,10 @@ class Cycle:
             doubt = Reason.LATE
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
-        if self.safety_state.state is OperatingState.CONTACT and force is not None:
+        state = self.safety_state.state
+        if state is OperatingState.ARMED and self._posture is not None and (where := displaced(q, self._posture)):
+            doubt, detail = Reason.POSTURE, detail or where
+        if state is OperatingState.CONTACT and force is not None:
             asked = self._push(self.controller.force_ref) + self._push(runtime.dither)
             self.pushes = pushed(self.pushes, asked, self._push(force))
         if command.finish is Reason.FINISHED and self.pushes.beyond(self.limits.overshoot):

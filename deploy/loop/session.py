@@ -17,21 +17,20 @@ from deploy.flight.recorder import FlightRecorder
 from deploy.flight.recording_file import RecordingFile, Saved
 from deploy.force.sensor import Mounted, mean_force
 from deploy.loop.control import TaskController
-from deploy.loop.cycle import Cycle, CycleResult, OperatorCommand
+from deploy.loop.cycle import JOINTS, Cycle, CycleResult, OperatorCommand
 from deploy.loop.loop import REASONS, STATES, Loop, RunResult, Watching
 from deploy.loop.options import Options
 from deploy.loop.statistics import Statistics
 from deploy.safety.clamp import Clamp
 from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import SafetyState
+from deploy.safety.posture import displaced
 from deploy.wam.arm import WamArm
-from deploy.wam.dialogue import Clock
+from deploy.wam.dialogue import Clock, Dialogue
 from deploy.wam.startup import OTHERS, startup
 from deploy.wam.tip_pose import tip_kinematics
 from jaxmpc.files.errors import InputError
 
-NEAR = 0.3
-"""Farthest that a joint may be from the controller's posture at the start [rad]: its margins hold there."""
 WANTED = 0.8
 """Largest wanted force over the limit of the measured one [-]."""
 HEART = 0.025
@@ -78,7 +77,8 @@ class Session:
         self.artifact, self._clock, self._options = artifact, clock, options
         sensor = Mounted(options.sensor, options.mount)
         self.arm = startup(bus, clock, sensor, home=options.home, report=report)
-        _standing(self.arm, model.posture)
+        if where := displaced(self.arm.pucks.angles(self.arm.counts), model.posture):
+            raise CalibrationError(f"{where}: carry the arm there by hand, idle, then start again")
         if options.tare:
             _tare(self.arm, clock, artifact.T_s)
             report("force sensor tared")
@@ -96,9 +96,24 @@ class Session:
             options.hook,
             ForceEstimate(model, flown_controller(artifact)[0].measurement),
             deepest(artifact),
+            model.posture,
         )
+        self._hosts = bus.counters.hosts
         self.recorder = FlightRecorder(seconds=options.seconds, rate=1.0 / artifact.T_s)
         self.statistics = Statistics(round(1e9 * artifact.T_s))
+
+    def unmoved(self) -> None:
+        """See, after a pause, that the arm still stands where it was started; nothing moves.
+
+        Raises:
+            BusError: A puck does not tell its position any more, or somebody else has begun to command.
+            CalibrationError: The arm was moved, or its encoders have forgotten where it is.
+        """
+        self._alone()
+        arm = self.arm
+        if (moved := arm.moved(Dialogue(arm.bus, self._clock))) is not None:
+            said = f"{JOINTS[moved]} has moved since the arm was started, or its encoder has forgotten its position"
+            raise CalibrationError(f"{said}: let nobody touch the arm while the controller is named, then start again")
 
     def run(
         self, command: OperatorCommand, watchdog: Watching | None, each: Callable[[CycleResult], OperatorCommand]
@@ -113,15 +128,17 @@ class Session:
         Raises:
             BusError: Somebody else has begun to command while the operator was waited for; nothing was sent.
         """
-        bus = self.arm.bus
-        hosts = bus.counters.hosts
-        bus.flush()
-        if bus.counters.hosts > hosts:
-            raise BusError(f"{OTHERS}; nothing was sent")
+        self._alone()
         period = round(1e9 * self.artifact.T_s)
         loop = Loop(self.cycle, self._clock, period, self.recorder, watchdog, each, self._options.log)
         self.statistics = loop.statistics
         return loop.run(command)
+
+    def _alone(self) -> None:
+        bus = self.arm.bus
+        bus.flush()
+        if bus.counters.hosts > self._hosts:
+            raise BusError(f"{OTHERS}; nothing was sent")
 
     def save(self, file: RecordingFile, digest: str, safety_state: SafetyState) -> Saved:
         """Write the flight recording into its file, and say what became of it; it never raises.
@@ -181,14 +198,6 @@ def deepest(artifact: Artifact) -> float:
     """How far the tip may go down in contact [m]: the softest promised tissue at the limit, and a heart's way."""
     assert artifact.arm is not None
     return float(artifact.arm.limits.force / min(row["stiffness"] for row in artifact.margins) + HEART)
-
-
-def _standing(arm: WamArm, posture: Any) -> None:
-    """Refuse a posture at which the controller's margins do not hold."""
-    for i, (angle, wanted) in enumerate(zip(arm.pucks.angles(arm.counts), posture, strict=True), start=1):
-        if abs(angle - wanted) > NEAR:
-            where = f"joint {i} stands at {angle:.2f} rad, the controller was made for {wanted:.2f} ± {NEAR:g}"
-            raise CalibrationError(f"{where}: carry the arm there by hand, idle, then start again")
 
 
 def _tare(arm: WamArm, clock: Clock, T_s: float) -> None:

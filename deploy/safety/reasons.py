@@ -18,6 +18,7 @@ class Reason(StrEnum):
     # The arm.
     POSITION_OLD = "position-old"
     POSITION_LOST = "position-lost"
+    POSTURE = "posture"
     JOINT_RANGE = "joint-range"
     JOINT_VELOCITY = "joint-velocity"
     TIP_VELOCITY = "tip-velocity"
@@ -89,6 +90,7 @@ EXPLANATION: Mapping[Reason, str] = {
     Reason.TORQUE_RATE: "A joint torque changed faster than its limit.",
     Reason.POSITION_OLD: "A puck's positions were missing for longer than can be bridged.",
     Reason.POSITION_LOST: "A puck's positions were missing for too long to hold the arm.",
+    Reason.POSTURE: "Armed, the arm was moved away from the posture that its controller was made for.",
     Reason.JOINT_RANGE: "A joint left its range.",
     Reason.JOINT_VELOCITY: "A joint was faster than its limit.",
     Reason.TIP_VELOCITY: "The tip was faster than its limit.",

@@ -10,6 +10,7 @@ from deploy.puck.codec import BROADCAST, GROUPS, SAFETY_MODULE, decode, get, pac
 from deploy.puck.frame import Frame
 from deploy.puck.messages import PropertyReply
 from deploy.puck.pendant import Pendant, decode_pendant
+from deploy.wam.dialogue import Dialogue
 from deploy.wam.pucks import Pucks
 from deploy.wam.reading import Reading
 
@@ -86,6 +87,19 @@ class WamArm:
         self._puck_status = [properties.STAT_READY] * 4
         self._puck_mode: list[int | None] = [None] * 4
         self._other: list[PropertyReply] = []
+
+    def moved(self, talk: Dialogue) -> int | None:
+        """The first motor (0–3) that stands elsewhere than before the cycles, None if none does.
+
+        Args:
+            talk: On this arm's bus.
+
+        Raises:
+            BusError: A puck does not tell its position.
+        """
+        counts_now = talk.told_positions(self._positions, self.pucks.nodes)
+        jumps = zip(counts_now, self.counts, self._largest_jump, strict=True)
+        return next((i for i, (now, before, largest) in enumerate(jumps) if abs(now - before) > largest), None)
 
     def request(self) -> bool:
         """Begin a cycle: ask for positions and force, now and then for a state; False if the bus refuses."""

@@ -96,6 +96,20 @@ class Dialogue:
                 return [self.positions[node] for node in nodes]
         return None
 
+    def told_positions(self, question: Frame, nodes: Sequence[int]) -> list[int]:
+        """The positions of all these nodes [counts].
+
+        Raises:
+            BusError: One of them does not answer, or the bus takes no frames.
+        """
+        counts = self.ask_positions(question, nodes)
+        if counts is None:
+            missing = next(node for node in nodes if node not in self.positions)
+            raise BusError(
+                f"puck {missing} does not tell its position when all are asked: check its GRPC (4) with btutil"
+            )
+        return counts
+
     def listen(self, duration_s: float) -> None:
         """Send nothing for a while [s], and keep what is said."""
         deadline = self.clock.now() + int(duration_s * NS)

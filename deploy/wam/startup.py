@@ -101,10 +101,7 @@ def startup(
     elif home:
         report("the arm knows its position already: home was not set again")
     ignore()
-    counts_now = talk.ask_positions(question, pucks.nodes)
-    if counts_now is None:
-        missing = next(node for node in pucks.nodes if node not in talk.positions)
-        raise BusError(f"puck {missing} does not tell its position when all are asked: check its GRPC (4) with btutil")
+    counts_now = talk.told_positions(question, pucks.nodes)
     within_stops(pucks.angles(counts_now))
     if bus.counters.hosts:
         raise BusError(OTHERS)

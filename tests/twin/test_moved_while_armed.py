@@ -1,13 +1,15 @@
-"""Whoever moves an armed arm whose pucks do not follow yet finds it held where he let it go, not pulled back."""
+"""An arm that is moved before it is driven: held where it is let go, not driven where its controller does not hold."""
 
 import math
 
 import pytest
 
 from deploy.bus.bus import Bus
+from deploy.errors import BusError, CalibrationError
 from deploy.loop.cycle import OperatorCommand
 from deploy.loop.options import Options
 from deploy.loop.session import Session
+from deploy.puck.frame import Frame
 from deploy.reference.segments import from_words
 from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
@@ -22,14 +24,25 @@ MOVED, ACTIVATED, ENDED = 20, 2500, 3500
 """Cycles at which it is moved, within a second, activated, and let go."""
 
 
-@pytest.mark.parametrize("lift", [0.0, 0.001, 0.06, -0.015])
-def test_activation_holds_the_arm_where_it_is(plain, lift):
+def _begun(artifact, each_tick=lambda now: None):
+    """A twin over a heart that stands, the session of a started arm, and its bus."""
     twin = Twin(TwinSettings(gap=GAP, motion=motion_named("none")))
-    seen = []
-    clock = LockstepClock(twin, lambda now: seen.append(now.truth()))
+    clock = LockstepClock(twin, each_tick)
     bus = Bus(LockstepBus(clock), clock.now)
     options = Options(from_words("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False)
-    session = Session(plain, bus, clock, options, lambda sentence: None)
+    return twin, Session(artifact, bus, clock, options, lambda sentence: None), bus
+
+
+def _turned(twin, angle):
+    """The posture of work, turned about the base [rad]."""
+    base, *others = twin.world.posture
+    return (base + angle, *others)
+
+
+@pytest.mark.parametrize("lift", [0.0, 0.001, 0.06, -0.015])
+def test_activation_holds_the_arm_where_it_is(plain, lift):
+    seen = []
+    twin, session, bus = _begun(plain, lambda now: seen.append(now.truth()))
     cycles, since = 0, 0
 
     def each(result):
@@ -49,3 +62,44 @@ def test_activation_holds_the_arm_where_it_is(plain, lift):
     # 2 mm and 0.05 m/s are gravity's error, which the servo's integral has yet to take up.
     assert max(math.dist(each.tip, held[0].tip) for each in held) < 0.005
     assert max(math.hypot(*each.tip_velocity) for each in held) < 0.1
+
+
+@pytest.mark.parametrize(("angle", "ends"), [(0.25, Reason.FINISHED), (-0.35, Reason.POSTURE), (0.35, Reason.POSTURE)])
+def test_the_approach_begins_near_the_posture_of_the_controller_or_not_at_all(plain, angle, ends):
+    twin, session, bus = _begun(plain)
+    cycles = 0
+
+    def each(result):
+        nonlocal cycles
+        cycles += 1
+        assert result.safety_state.state is not OperatingState.APPROACH
+        if cycles == MOVED:
+            twin.carry(_turned(twin, angle), 1.0)
+        return OperatorCommand(True, False, Reason.FINISHED if cycles > ACTIVATED else Reason.NONE)
+
+    ended = session.run(OperatorCommand(True, False), None, each).safety_state
+    bus.close()
+    assert (ended.state, ended.reason) == (OperatingState.STOPPED, ends)
+    assert ended.detail.startswith("joint 1 stands at ") == (ends is Reason.POSTURE)
+
+
+def test_an_arm_that_was_moved_while_its_controller_was_named_is_told(plain):
+    twin, session, bus = _begun(plain)
+    session.unmoved()
+    twin.carry(_turned(twin, 0.01), 0.0)
+    session.unmoved()
+    twin.carry(_turned(twin, 0.2), 0.0)
+    with pytest.raises(CalibrationError, match=r"^J1 has moved since the arm was started"):
+        session.unmoved()
+    bus.close()
+
+
+def test_another_program_that_commands_meanwhile_is_not_disturbed(plain):
+    twin, session, bus = _begun(plain)
+    twin._wire.post(Frame(0x404, b"\x30"), twin.now_ns)
+    session._clock.wait_until(twin.now_ns + 1_000_000)
+    sent = bus.counters.sent
+    with pytest.raises(BusError, match=r"somebody else commands on this bus.*nothing was sent"):
+        session.unmoved()
+    assert bus.counters.sent == sent
+    bus.close()
