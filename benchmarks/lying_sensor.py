@@ -69,11 +69,11 @@ def fly(artifact: Any, faults: tuple[str, ...], stiffness: float, tissue: str, w
     return Flown(peaks.true_push, since.true_push, wanted_peak, ended.safety_state.reason, ended.safety_state.state)
 
 
-def moments(artifact: Any, stiffness: float, tissue: str, wanted: float) -> dict[str, float]:
-    """When faults set in, by phase, as a clean flight tells [s]."""
+def contact_of(artifact: Any, stiffness: float, tissue: str) -> float:
+    """When a clean flight makes contact [s]."""
     twin = Twin(twin_settings(stiffness=stiffness, tissue=tissue, gap=GAP))
     clock = LockstepClock(twin)
-    session, bus = started(artifact, clock, f"0,0,{wanted:g}@{RATE:g}", RATE, seconds=1.0)
+    session, bus = started(artifact, clock, f"0,0,-5@{RATE:g}", RATE, seconds=1.0)
     pilot, contact = Pilot(session, twin, 0.1), []
 
     def each(result: CycleResult) -> OperatorCommand:
@@ -83,15 +83,26 @@ def moments(artifact: Any, stiffness: float, tissue: str, wanted: float) -> dict
 
     session.run(OperatorCommand(True, True), None, each)
     bus.close()
-    at = contact[0]
-    return {"before": 0.15, "contact": at + 0.02, "wanted": at + abs(wanted) / RATE + HELD}
+    return contact[0]
+
+
+def moments(contact: float, wanted: float) -> dict[str, float]:
+    """When faults set in, by phase [s].
+
+    Args:
+        contact: When contact is made [s]; for what sets in before, any number.
+        wanted: Force [N].
+    """
+    return {"before": 0.15, "contact": contact + 0.02, "wanted": contact + abs(wanted) / RATE + HELD}
 
 
 def flights(artifact: Any, args: argparse.Namespace) -> Iterator[tuple[str, str, bool, str, float, float, Flown]]:
     """All of them."""
-    for tissue, stiffness, wanted in product(args.tissues, args.stiffness, args.references):
-        times = moments(artifact, stiffness, tissue, wanted)
-        for word, phase, lossy in product(args.words, args.phases, (False, True) if args.lossy else (False,)):
+    for tissue, stiffness in product(args.tissues, args.stiffness):
+        contact = contact_of(artifact, stiffness, tissue)
+        lossies = (False, True) if args.lossy else (False,)
+        for wanted, word, phase, lossy in product(args.references, args.words, args.phases, lossies):
+            times = moments(contact, wanted)
             faults = (f"force:{word}@{times[phase]:.3f}", *(("positions:lost=0.02",) if lossy else ()))
             yield word, phase, lossy, tissue, stiffness, wanted, fly(artifact, faults, stiffness, tissue, wanted)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.lying_sensor import Flown, fly, moments
+from benchmarks.lying_sensor import Flown, contact_of, fly, moments
 from deploy.loop import force_watch, session
 from deploy.safety import force_balance
 from deploy.safety.reasons import Reason
@@ -24,7 +24,8 @@ LYING = {
 
 def flown(artifact, lie, tissue, stiffness, phase):
     words, wanted = LYING[lie]
-    at = moments(artifact, stiffness, tissue, wanted)[phase]
+    contact = 0.0 if phase == "before" else contact_of(artifact, stiffness, tissue)
+    at = moments(contact, wanted)[phase]
     return fly(artifact, tuple(f"{word}@{at:.3f}" for word in words), stiffness, tissue, wanted)
 
 
