@@ -9,11 +9,11 @@ import pytest
 
 from deploy.controller.margin_floor import check, plain_floor
 from jaxmpc import Experiment, Params
-from jaxmpc.cli.freeze import FLOOR_FLAGS, configure
+from jaxmpc.cli.freeze import configure
 from jaxmpc.closed_loops import Outcome
 from jaxmpc.files.errors import InputError
 from jaxmpc.metrics import Metrics
-from jaxmpc.quantities import FILTERS, MARGINS, METRICS, PARAMETERS, Quantity
+from jaxmpc.quantities import FILTERS, FLOOR_FLAGS, MARGINS, METRICS, PARAMETERS, Quantity
 from jaxmpc.stability import Margins
 from jaxmpc.synthesis.params import STRUCTURE
 from jaxmpc.terminal.tables import RESIDUAL_HEADER, metric_rows, residual_rows

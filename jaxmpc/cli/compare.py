@@ -61,7 +61,6 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.report.comparison import compared
     from jaxmpc.report.page import write_report
     from jaxmpc.report.side_by_side import table
-    from jaxmpc.status import Status
     from jaxmpc.terminal.tables import show
 
     for one in contenders:
@@ -72,19 +71,18 @@ def run(args: argparse.Namespace) -> int:
     found = compared(contenders, experiment, seeds, ratios=ratios, said=_progress)
     whole = table(found)
     note = (
-        f", differences over {args.seeds} {experiment.draws} ± 95 %, * where that does not hold zero" if seeds else ""
+        f", differences over {args.seeds} {experiment.draws} ± 95 % (over how many, where some were lost), * where "
+        "that does not hold zero"
+        if seeds
+        else ""
     )
     show(f"side by side{note}", whole.head, whole.rows)
     args.output.parent.mkdir(parents=True, exist_ok=True)
     write_report(report_of(found), args.output)
     print(f"report: {args.output}")
-    bad = False
-    for one, outcome in zip(contenders, found.outcomes, strict=True):
-        for stiffness, code in zip(experiment.stiffness, outcome.status, strict=True):
-            if (status := Status(int(code))) != Status.OK:
-                bad = True
-                print(f"{one.name}, {stiffness:g} N/m: {status.name}: {status.sentence}")
-    return int(bad)
+    failures = list(found.failures())
+    print("\n".join(failures), end="\n" if failures else "")
+    return int(bool(failures))
 
 
 def contender_from(text: str) -> "Contender":

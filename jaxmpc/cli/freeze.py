@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxmpc.files.errors import InputError
-from jaxmpc.quantities import HIGHEST_M_S, MARGINS
+from jaxmpc.quantities import FLOOR_FLAGS, HIGHEST_M_S, MARGINS
 from jaxmpc.terminal.progress import said_after
 
 if TYPE_CHECKING:
@@ -15,15 +15,6 @@ if TYPE_CHECKING:
     from jaxmpc.synthesis.params import Params
 
 EXPERIMENT = "table-1"
-FLOOR_FLAGS = {
-    "M_s": "--max-ms",
-    "gain_margin_db": "--min-gain-db",
-    "gain_reduction_db": "--min-reduction-db",
-    "phase_margin_deg": "--min-phase-deg",
-    "delay_margin_s": "--min-delay-ms",
-    "spectral_radius": "--max-radius",
-}
-"""Flags of the margins that a controller may promise."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
     with said_after(f"designing {what}, judging it on {experiment.name}, recording its golden trace …"):
         artifact = freeze_controller(args.output, params, experiment, floor, ideal=args.ideal, limits=args.limits)
     loop = "ideal loop" if args.ideal else "loop as it runs"
-    worst = max(row["M_s"] for row in artifact.margins)
+    # Of a family: of the fixed gains, and of those that fly where the stiffness is known.
+    worst = max(row["M_s"] for row in (*artifact.margins, *(artifact.family or {"rows": ()})["rows"]))
     print(f"frozen: {args.output} ({args.output.stat().st_size} bytes), K_s {len(artifact.margins)} values, {loop}")
     kept = ", ".join(
         f"{MARGINS[name].heading} {MARGINS[name].sign} {MARGINS[name].entry(value)}"

@@ -4,13 +4,14 @@ A row says all that goals, sweeps, tables, reports, freezing and the robot's own
 that a new one is written here and where it is computed, nowhere else. No row needs JAX.
 """
 
-from jaxmpc.quantities.measured import HIGHEST_M_S, MARGINS, METRICS
+from jaxmpc.quantities.measured import FLOOR_FLAGS, HIGHEST_M_S, MARGINS, METRICS
 from jaxmpc.quantities.parameters import FILTERS, HORIZONS, HP_MAX, HU_MAX, PARAMETERS, ParameterValues
 from jaxmpc.quantities.row import Metric, Parameter, Quantity, SearchRange, Sense
 
 __all__ = [
     "AXES",
     "FILTERS",
+    "FLOOR_FLAGS",
     "HIGHEST_M_S",
     "HORIZONS",
     "HP_MAX",

@@ -1,5 +1,7 @@
 """What a run measures, and how far a loop is from instability."""
 
+from collections.abc import Mapping
+
 from jaxmpc.quantities.row import Metric, Quantity, table
 
 METRICS = table(
@@ -69,5 +71,14 @@ MARGINS = table(
     Quantity("spectral_radius", "-", "largest eigenvalue of the closed loop", r"$\rho$", head="radius", digits=4),
 )
 """Fields of `jaxmpc.stability.Margins`, but for the status."""
+FLOOR_FLAGS: Mapping[str, str] = {
+    "M_s": "--max-ms",
+    "gain_margin_db": "--min-gain-db",
+    "gain_reduction_db": "--min-reduction-db",
+    "phase_margin_deg": "--min-phase-deg",
+    "delay_margin_s": "--min-delay-ms",
+    "spectral_radius": "--max-radius",
+}
+"""Flags of `jaxmpc freeze` for the margins that a controller may promise, in the units of tables."""
 HIGHEST_M_S = 2.0
 """Held by the tuner and promised by a frozen controller unless told otherwise [-]."""

@@ -29,7 +29,10 @@ def report_of(found: Comparison) -> Report:
     words = f"On {experiment.name}, {experiment.duration:g} s, physics {experiment.physics}."
     if seeds:
         words += f" Differences are means over {seeds} {experiment.draws} that all met, ± the half-width of their "
-        words += f"{100 * CONFIDENCE:.0f} % interval (Student, paired); * where it does not hold zero."
+        words += (
+            f"{100 * CONFIDENCE:.0f} % interval (Student, paired); * where it does not hold zero. Where a controller "
+        )
+        words += "was lost on some, the difference is over the others, whose number stands behind it."
     sections = [
         Section("Side by side", [words], [table(found)]),
         Section(

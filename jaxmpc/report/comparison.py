@@ -1,6 +1,6 @@
 """Controllers that are compared: runs of each on one experiment and on drawn motions that all meet."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS
 from jaxmpc.stability import Margins
 from jaxmpc.stability.family import family_margins, judged_where
+from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params, by_structure
 
 
@@ -35,6 +36,8 @@ class Comparison:
         contenders: In the order given; differences are to the first.
         outcomes: Of the experiment itself, with traces.
         drawn: Metrics on the drawn motions, fields (contenders, seeds, stiffness, 3).
+        seeds: What drew these.
+        statuses: Statuses there, (contenders, seeds, stiffness).
         known: Margins with the stiffness known, fields (stiffness,); None of one without a schedule.
         ratios: Residual over the least of any linear law, (contenders, stiffness, 3) [-]; None where not asked for.
     """
@@ -45,6 +48,22 @@ class Comparison:
     drawn: Metrics | None
     known: Sequence[Margins | None]
     ratios: np.ndarray | None = None
+    seeds: Sequence[int] = ()
+    statuses: np.ndarray | None = None
+
+    def failures(self) -> Iterator[str]:
+        """A line for every contender and tissue on which its runs were not all OK."""
+        for c, (one, outcome) in enumerate(zip(self.contenders, self.outcomes, strict=True)):
+            for i, stiffness in enumerate(self.experiment.stiffness):
+                if (status := Status(int(outcome.status[i]))) != Status.OK:
+                    yield f"{one.name}, {stiffness:g} N/m: {status.name}: {status.sentence}"
+                if self.statuses is None:
+                    continue
+                codes = self.statuses[c, :, i]
+                for status in map(Status, np.unique(codes[codes != Status.OK]).tolist()):
+                    which = np.flatnonzero(codes == status)
+                    share = f"{len(which)} of {len(codes)} drawn, first seed {self.seeds[which[0]]}"
+                    yield f"{one.name}, {stiffness:g} N/m, {share}: {status.name}: {status.sentence}"
 
 
 def compared(
@@ -69,15 +88,15 @@ def compared(
     each = []
     for k, seed in enumerate(seeds):
         said(f"motion {k + 1} of {len(seeds)} (seed {seed}) …")
-        each.append([outcome.metrics for outcome in _run(contenders, experiment.with_seed(seed), traced=False)])
-    drawn = None
+        each.append([(one.metrics, one.status) for one in _run(contenders, experiment.with_seed(seed), traced=False)])
+    drawn = statuses = None
     if each:
         # (seeds, contenders, …) → (contenders, seeds, …)
-        drawn = jax.tree.map(lambda *fields: np.stack(fields), *(_stacked(row) for row in each))
-        drawn = jax.tree.map(lambda field: np.swapaxes(field, 0, 1), drawn)
+        stacked = jax.tree.map(lambda *fields: np.stack(fields), *(_stacked(row) for row in each))
+        drawn, statuses = jax.tree.map(lambda field: np.swapaxes(field, 0, 1), stacked)
     path = experiment.loop_path()
     known = [known_margins(one.params, experiment.stiffness, path) for one in contenders]
-    return Comparison(experiment, contenders, own, drawn, known, ratios)
+    return Comparison(experiment, contenders, own, drawn, known, ratios, seeds, statuses)
 
 
 def known_margins(params: Params, stiffness: Sequence[float], path: Any) -> Margins | None:
@@ -101,6 +120,5 @@ def _run(contenders: Sequence[Contender], experiment: Experiment, *, traced: boo
     return [found[i] for i in range(len(contenders))]
 
 
-def _stacked(row: Sequence[Metrics]) -> Metrics:
-    stacked: Metrics = jax.tree.map(lambda *fields: np.stack(fields), *row)
-    return stacked
+def _stacked(row: Sequence[tuple[Metrics, Any]]) -> Any:
+    return jax.tree.map(lambda *fields: np.stack(fields), *row)

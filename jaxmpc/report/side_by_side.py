@@ -37,11 +37,14 @@ class PairedDifference(NamedTuple):
     mean: float
     half_width: float
     """Half of the interval in which the mean lies with `CONFIDENCE`; NaN of a single pair."""
+    pairs: int
+    """Motions that both held."""
+    motions: int
 
     @property
     def told(self) -> bool:
-        """Whether zero lies outside the interval."""
-        return abs(self.mean) > self.half_width
+        """Whether zero lies outside the interval. Where a motion was lost nothing is told of the mean over all."""
+        return self.pairs == self.motions and abs(self.mean) > self.half_width
 
 
 def table(found: Comparison) -> Table:
@@ -66,11 +69,12 @@ def difference(first: np.ndarray, other: np.ndarray) -> PairedDifference:
 
     apart = (other - first)[np.isfinite(other - first)]
     if not len(apart):
-        return PairedDifference(np.nan, np.nan)
+        return PairedDifference(np.nan, np.nan, 0, len(first))
     if len(apart) == 1:
-        return PairedDifference(float(apart[0]), np.nan)
+        return PairedDifference(float(apart[0]), np.nan, 1, len(first))
     spread = float(np.std(apart, ddof=1)) / np.sqrt(len(apart))
-    return PairedDifference(float(apart.mean()), float(t.ppf(0.5 + CONFIDENCE / 2.0, len(apart) - 1)) * spread)
+    half_width = float(t.ppf(0.5 + CONFIDENCE / 2.0, len(apart) - 1)) * spread
+    return PairedDifference(float(apart.mean()), half_width, len(apart), len(first))
 
 
 def entries(found: Comparison) -> Iterator[Entry]:
@@ -120,7 +124,8 @@ def _differences(entry: Entry) -> Iterator[str]:
             yield "–"
             continue
         interval = f" ± {times * found.half_width:.{digits}f}" if np.isfinite(found.half_width) else ""
-        yield f"{_signed(times * found.mean, digits)}{interval}{' *' if found.told else ''}"
+        counted = "" if found.pairs == found.motions else f" ({found.pairs} of {found.motions})"
+        yield f"{_signed(times * found.mean, digits)}{interval}{' *' if found.told else ''}{counted}"
 
 
 def _signed(value: float, digits: int) -> str:

@@ -8,7 +8,7 @@ model of it that is cancelled creeps apart from the arm's, which forgets within 
 of the gain has no slope at rest either: the loop is that of the full gain.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +23,7 @@ from jaxmpc.law.chain import Chain
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.gains import Gains
 from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, advance, start
+from jaxmpc.stability.family import held
 from jaxmpc.stability.loop import transition_matrix
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
@@ -126,8 +127,9 @@ def robots_of(experiments: Sequence[Experiment]) -> Robot:
 def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, " experiments"]:
     """Whether the linear loop of the whole arm is unstable, per experiment.
 
-    Seconds for any number of experiments of one structure. It knows no friction that holds a joint, no event and no
-    end: a slow divergence that a run of some seconds does not show counts.
+    A family's is, if it is with its fixed gains or with those for the tissue's stiffness. Seconds for any number of
+    experiments of one structure. It knows no friction that holds a joint, no event and no end: a slow divergence that a
+    run of some seconds does not show counts.
 
     Args:
         params: One controller.
@@ -144,35 +146,47 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
         kind, T_s, force_filter = program
         mine = [i for i, each in enumerate(programs) if each == program]
         robots = with_cutoff(robots_of([experiments[i] for i in mine]), params.velocity_cutoff, ARRAYS)
-        matrices = _matrices(params, robots, T_s, force_filter, kind)
-        found[mine] = radii(np.asarray(matrices)) > 1.0 + ROUNDING
+        for gains, K2 in _controllers(params, [experiments[i].stiffness[0] for i in mine], T_s, force_filter):
+            found[mine] |= radii(np.asarray(_matrices(gains, K2, robots, kind))) > 1.0 + ROUNDING
     return found
 
 
-def _matrices(
-    params: Params, robots: Robot, T_s: float, force_filter: ForceFilter | None, kind: RobotStructure
-) -> Float[Array | np.ndarray, "robots n n"]:
-    """One matrix per robot: of a few operation by operation, of many in a program, which takes longer to compile."""
-    count = len(robots.extra_delay)
+def _controllers(
+    params: Params, stiffness: Sequence[float], T_s: float, force_filter: ForceFilter | None
+) -> Iterator[tuple[Gains, Any]]:
+    """Gains and damping [1/s], tissues (stiffness,) [N/m] as leading dimension: fixed ones, then those of each."""
     with on_cpu():
         gains, _ = jax.device_get(_designed(params, T_s, force_filter=force_filter))
+        if params.listening is None:
+            yield jax.tree.map(
+                lambda leaf: np.broadcast_to(leaf, (len(stiffness), *np.shape(leaf))), (gains, params.K2)
+            )
+            return
+        for known in (np.full(len(stiffness), np.nan), np.array(stiffness, float)):
+            yield jax.device_get(_held(gains, params.K2, known))
+
+
+def _matrices(gains: Gains, K2: Any, robots: Robot, kind: RobotStructure) -> Float[Array | np.ndarray, "robots n n"]:
+    """One matrix per robot and its gains: of a few operation by operation, of many in a program that is compiled."""
+    count = len(robots.extra_delay)
+    with on_cpu():
+        whole = gains, K2, robots
         if count < MANY:
             # Each operation is compiled for a number of robots.
-            robots = jax.tree.map(jnp.asarray, padded(robots, 1 << max(6, (count - 1).bit_length())))
-            return _of_robots(gains, params.K2, robots, kind=kind)[:count]
-        robots = jax.tree.map(lambda leaf: leaf.reshape(-1, AT_A_TIME, *leaf.shape[1:]), padded(robots, AT_A_TIME))
-
-        def block(i: int) -> Any:
-            return _compiled(gains, params.K2, jax.tree.map(lambda leaf: leaf[i], robots), kind=kind)
-
-        return np.concatenate([block(i) for i in range(len(robots.extra_delay))])[:count]
+            whole = jax.tree.map(jnp.asarray, padded(whole, 1 << max(6, (count - 1).bit_length())))
+            return _of_robots(*whole, kind=kind)[:count]
+        whole = jax.tree.map(lambda leaf: leaf.reshape(-1, AT_A_TIME, *leaf.shape[1:]), padded(whole, AT_A_TIME))
+        blocks = len(whole[2].extra_delay)
+        found = [_compiled(*jax.tree.map(lambda leaf, i=i: leaf[i], whole), kind=kind) for i in range(blocks)]
+        return np.concatenate(found)[:count]
 
 
 def _of_robots(gains: Gains, K2: Any, robots: Robot, *, kind: RobotStructure) -> Float[Array, "robots n n"]:
-    return jax.vmap(lambda robot: whole_arm_matrix(arm.chain(), kind, robot, gains, K2))(robots)
+    return jax.vmap(lambda gains, K2, robot: whole_arm_matrix(arm.chain(), kind, robot, gains, K2))(gains, K2, robots)
 
 
-_designed, _compiled = JitOnce(design_one), JitOnce(_of_robots, static_argnames=("kind",))
+_designed, _held = JitOnce(design_one), JitOnce(held)
+_compiled = JitOnce(_of_robots, static_argnames=("kind",))
 
 
 def _smooth(robot: Robot, sticking: bool) -> Robot:

@@ -20,6 +20,7 @@ from jaxmpc.report.comparison import Comparison, Contender
 from jaxmpc.report.side_by_side import PER_AXIS, difference, table
 from jaxmpc.report.thinning import thinned
 from jaxmpc.stability import Margins
+from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from jaxmpc.terminal.arguments import experiment_from, params_from
 
@@ -59,6 +60,15 @@ def test_a_motion_that_one_lost_is_no_pair() -> None:
     assert difference(first, other).mean == 0.5
     assert np.isnan(difference(first[:1], other[:1]).half_width)
     assert np.isnan(difference(first[1:2], other[1:2]).mean)
+
+
+def test_what_lasted_tells_nothing_of_what_was_lost() -> None:
+    """Better by far in the five motions that it held; the mean over all is not known to be."""
+    first = np.array([0.060, 0.062, 0.058, 0.061, 0.059, 0.2])
+    other = np.append(first[:5] - np.array([0.0100, 0.0105, 0.0095, 0.0098, 0.0102]), np.nan)
+    assert difference(first[:5], other[:5]).told
+    found = difference(first, other)
+    assert (found.told, found.pairs, found.motions) == (False, 5, 6)
 
 
 def test_a_thinned_curve_keeps_its_peaks() -> None:
@@ -153,6 +163,29 @@ def test_the_table_has_everything_and_the_differences() -> None:
     assert rms[2:] == ["100.0", "200.0", f"{middle:+.1f} ± {half:.1f} *"]
     M_s = next(row for row in found.rows if row[0] == "M_s")
     assert M_s[2:] == ["1.00", "2.00", "+1.00"]
+
+
+def test_who_is_lost_on_a_drawn_motion_is_told() -> None:
+    random = np.random.default_rng(1)
+    (first, motions), (second, others) = made_up(0.1, random), made_up(0.2, random)
+    for field in others:
+        field[3:, 1] = np.nan
+    statuses = np.zeros((2, 5, 2), int)
+    statuses[1, 3:, 1] = Status.DIVERGED, Status.FORCE_LIMIT
+    experiment = msgspec.structs.replace(Experiment.published("table-1"), stiffness=(375.0, 810.0))
+    contenders = [Contender(name, Params(), "made up") for name in "AB"]
+    drawn = Metrics(*(np.stack(pair) for pair in zip(motions, others, strict=True)))
+    both = Comparison(
+        experiment, contenders, [first, second], drawn, [None, None], seeds=range(1000, 1005), statuses=statuses
+    )
+    told = sorted(both.failures())
+    assert [line.split(":")[:2] for line in told] == [
+        ["B, 810 N/m, 1 of 5 drawn, first seed 1003", " DIVERGED"],
+        ["B, 810 N/m, 1 of 5 drawn, first seed 1004", " FORCE_LIMIT"],
+    ]
+    rows = {row[1]: row[-1] for row in table(both).rows if row[0] == "RMS [mN]"}
+    assert rows["810 N/m, Z"].endswith(" (3 of 5)")
+    assert rows["375 N/m, Z"].endswith(" *")
 
 
 def test_a_folder_in_the_reports_place_is_seen_before_anything_is_computed(

@@ -1,5 +1,6 @@
 """The whole arm's linear loop against that of one axis, central differences, modes by scipy, and simulated trials."""
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -162,9 +163,21 @@ def test_many_are_asked_in_a_program_and_are_told_the_same(monkeypatch: pytest.M
     """Matrices differ by rounding alone, of entries up to some 1e3: 1e-9 is far above that."""
     robots = robots_of([experiment(stiffness=(K,)) for K in (300.0, 810.0, 1900.0)])
     kind, _ = world_of(experiment())
-    few = whole_arm._matrices(Params(), robots, T_S, None, kind)
+    ((gains, K2),) = whole_arm._controllers(Params(), (300.0, 810.0, 1900.0), T_S, None)
+    few = whole_arm._matrices(gains, K2, robots, kind)
     monkeypatch.setattr(whole_arm, "MANY", 2)
     monkeypatch.setattr(whole_arm, "AT_A_TIME", 2)
-    many = whole_arm._matrices(Params(), robots, T_S, None, kind)
+    many = whole_arm._matrices(gains, K2, robots, kind)
     assert many.shape == few.shape
     np.testing.assert_allclose(many, few, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.oracle
+def test_a_family_is_judged_with_the_gains_for_the_tissue_too() -> None:
+    """Fixed gains hold every tissue; knots that are made for a tenth of their tissue's stiffness do not."""
+    family = Params.published("family")
+    wrong = replace(family, knots=tuple(replace(knot, Khat_s=0.1 * knot.Khat_s) for knot in family.knots))
+    tissues = [experiment(stiffness=(K,)) for K in (375.0, 810.0, 1900.0)]
+    assert not lost(family, tissues).any()
+    assert lost(wrong, tissues).all()
+    assert not lost(replace(wrong, knots=(), listening=None), tissues).any()

@@ -75,3 +75,11 @@ def test_a_goal_of_the_runs_sees_its_axis_and_its_reference() -> None:
     ratio = np.asarray(found["rms_ratio"])
     assert ratio[1, 2, 0] == 0.0, "where the controller before was unstable there is nothing to compare with"
     np.testing.assert_allclose(np.delete(ratio.ravel(), 18), 1.0)
+
+
+def test_a_ratio_to_nothing() -> None:
+    """Whatever is a number is better than a lost run; a lost one is no better than another; more than 0 is no 0."""
+    before = cells(clamped=np.array([[[np.nan, np.nan, 0.0], [0.0, 0.5, 0.5]]]))
+    after = cells(clamped=np.array([[[0.5, np.nan, 0.5], [0.0, np.nan, 0.25]]]))
+    ratio = run_goals(after, before, None, {"clamped_ratio": 0.5})["clamped_ratio"]
+    np.testing.assert_array_equal(ratio, [[[0.0, np.nan, np.inf], [0.0, np.nan, 1.0]]])

@@ -12,12 +12,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from jaxmpc import Params
+from jaxmpc import Experiment, Params
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import METRICS
 from jaxmpc.report.loops import Curves
 from jaxmpc.stability import Margins
+from jaxmpc.world.heart.motion import Motion
 from tuning import TuneResult, TuneSpec, report
+from tuning.proof.flyable import freeze_command
 from tuning.proof.limits import Active, LimitStudy, active_margins
 from tuning.proof.reached import STUDY, Row, rows, verdict
 from tuning.proof.sensitivities import Sensitivities
@@ -25,7 +27,7 @@ from tuning.proof.split import Split
 from tuning.reports.charts import heldout_charts
 from tuning.reports.explained import Study, limits_text
 from tuning.reports.figures import best_of_each_iteration
-from tuning.reports.files import write
+from tuning.reports.files import tuned_on, write
 from tuning.reports.limit import limit_section
 from tuning.reports.page import html_report
 from tuning.reports.points import points
@@ -140,16 +142,57 @@ def test_the_best_of_a_look_holds_its_goals_if_any_does() -> None:
     np.testing.assert_array_equal(best_of_each_iteration(state), [1, 2, 2])
 
 
-def test_goals_are_those_of_the_scenarios_that_were_held(result: TuneResult) -> None:
+def test_ratios_are_those_of_the_scenarios_that_were_held_before(result: TuneResult) -> None:
     M_s, delay, rms, ratio = rows(result)
     counted = [0, 2, 3]
     assert (M_s.reached, M_s.met, M_s.at) == ((5.0, 1.98), True, 1900.0)
     assert (delay.reached, delay.met, delay.hard) == ((2e-3, 2e-3), True, True)
-    assert rms.reached == pytest.approx([result.heldout.rms[which][counted].max() for which in (0, 1)])
+    assert rms.reached == pytest.approx([result.heldout.rms[which].max() for which in (0, 1)])
     before, after = result.heldout.peak_to_peak[:, counted]
     assert ratio.reached == pytest.approx([1.0, (after / before).max()])
     assert not ratio.met
     assert not ratio.hard
+
+
+def test_who_is_lost_where_the_one_before_was_lost_has_not_met_every_goal(result: TuneResult) -> None:
+    for field in result.heldout:
+        field[1, 1] = np.nan
+    _, _, rms, ratio = rows(result)
+    assert np.isnan(rms.reached[1])
+    assert not rms.met
+    assert np.isfinite(ratio.reached).all()
+    assert verdict(result) == "all hard goals are met in training; held out, missed: |e| < 2 N in scenario 1001"
+
+
+def test_a_search_whose_runs_were_all_lost_has_met_nothing(result: TuneResult) -> None:
+    state = result.state
+    state.best[:], state.best_z[:], state.score[:] = np.inf, np.nan, np.nan
+    lost = replace(result, feasible=state.feasible)
+    assert not lost.met
+    assert verdict(lost) == lost.unmet()
+    assert lost.unmet().startswith("no point was found that has a score")
+
+
+def test_the_command_in_the_file_freezes_what_was_tuned_on_what_it_was_tuned_on(small: Job) -> None:
+    arm = TuneSpec.from_dict(
+        small(
+            experiment={"published": "table-1-wam", "arm": {"compensation": 0.7}, "stiffness": [300.0, 3000.0]},
+            goals={"ideal": False, "M_s": 1.9, "delay_margin_s": 1.5e-3},
+        )
+    )
+    words = freeze_command(arm, "experiment.toml").split()
+    assert words[:5] == ["jaxmpc", "freeze", "params.toml", "--experiment", "experiment.toml"]
+    assert words[5:-2] == ["--max-ms", "1.9", "--min-delay-ms", "1.5"]
+    assert Experiment.from_dict(tuned_on(arm.experiment)) == arm.experiment
+    ideal = TuneSpec.from_dict(small(goals={"ideal": True, "gain_margin_db": 6.0}))
+    assert freeze_command(ideal, "table-1").split()[5:-2] == ["--ideal", "--max-ms", "2", "--min-gain-db", "6"]
+
+
+def test_a_recording_that_was_tuned_on_is_found_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("heart.csv", np.zeros((2000, 3)), delimiter=",")
+    experiment = Experiment(motion=Motion(kind="recording", file="heart.csv"))
+    assert tuned_on(experiment)["motion"]["file"] == str(tmp_path / "heart.csv")
 
 
 @pytest.mark.slow
@@ -159,7 +202,7 @@ def test_files_are_whole_and_the_page_needs_nothing_else(
     monkeypatch.setattr("tuning.reports.files.study", lambda result: study)
     written = write(result, tmp_path)
     pictures = {"history", "before_after"}
-    texts = {"params.toml", "history.npz", "report.txt", "report.html"}
+    texts = {"params.toml", "experiment.toml", "history.npz", "report.txt", "report.html"}
     assert {path.name for path in written} == texts | {f"{name}.png" for name in pictures}
     assert set(tmp_path.iterdir()) == set(written)
     assert Params.from_toml(tmp_path / "params.toml").lam.shape == (16,)

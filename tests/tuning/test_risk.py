@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tuning.job.risk import ORDER, Risk, soft_worst
+from tuning.objective.loss import _geometric_mean
 
 VALUES = np.random.default_rng(0).uniform(0.5, 2.0, (3, 10))
 
@@ -40,6 +41,14 @@ def test_slope(kind: Any) -> None:
     steps = 1e-6 * np.eye(len(x))
     expected = [(risk.over(x + d) - risk.over(x - d)) / 2e-6 for d in steps]
     np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["mean", "worst", "soft-worst", "cvar"])
+def test_a_run_that_was_lost_has_no_risk(kind: Any) -> None:
+    lost = jnp.asarray(VALUES).at[1, 3].set(jnp.nan)
+    assert np.isnan(Risk(kind=kind).over(lost)).tolist() == [False, True, False]
+    assert np.isnan(_geometric_mean(lost)).tolist() == [False, True, False]
+    assert float(_geometric_mean(lost.at[0, 0].set(0.0))[0]) == 0.0
 
 
 def test_nothing_at_all_has_a_slope_of_zero() -> None:

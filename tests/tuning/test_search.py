@@ -91,6 +91,25 @@ def test_orders_ask_for_a_q_p_of_their_own(spec: TuneSpec) -> None:
     assert axis.low < float(second.params.Q_p) < axis.high
 
 
+@pytest.mark.oracle
+def test_a_search_whose_runs_are_all_lost_finds_nothing(small: Job) -> None:
+    """The ideal loop is stable, and its margins are the goals; what runs is sampled and is not: it reaches 1e120 N."""
+    tune = {"starts": 2, "steps": 2, "heldout_seeds": [1000], "free": {"Khat_s": [290.0, 310.0]}}
+    tables = {"experiment": {"damping": "sampled"}, "params": {"K2": 250.0, "Khat_s": 300.0}}
+    result = assess(run_search(TuneSpec.from_dict(small(tune=tune, goals={"M_s": 50.0}, **tables))))
+    assert not result.met
+    assert result.unmet().startswith("no point was found that has a score")
+
+
+@pytest.mark.oracle
+def test_a_front_from_elsewhere_does_not_go_on_from_these_states(small: Job, tmp_path: Path) -> None:
+    spec = TuneSpec.from_dict(small(tune={"steps": 1}, pareto={"M_s": [6.0, 5.0]}))
+    z = spec.space.encode(spec.params)
+    pareto(spec, tmp_path, z=z)
+    with pytest.raises(InputError, match="-o"):
+        pareto(spec, tmp_path, z=z + 0.01)
+
+
 @pytest.mark.slow
 def test_spectra_propose_and_the_arm_decides(on_the_arm: Callable[..., TuneSpec]) -> None:
     spec = on_the_arm(tune={"mapping": 3, "orders": [1, 2]})

@@ -18,11 +18,12 @@ from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.objective.loss import HEADROOM, PENALTY, value_and_gradient
 from tuning.objective.problem import Problem, over_starts
-from tuning.proof.gradients import SCORE, judged_on, on_tissue, slopes, values_at
+from tuning.proof.gradients import SCORE, Slope, judged_on, on_tissue, slopes, values_at
 from tuning.proof.limits import limits, multipliers_of
 from tuning.proof.result import assess
-from tuning.proof.sensitivities import log_slopes, sensitivities, vector_of
+from tuning.proof.sensitivities import _per_parameter, log_slopes, sensitivities, vector_of
 from tuning.proof.split import split
+from tuning.reports.explained import _signed
 from tuning.reports.files import write
 from tuning.search.run import run_search
 
@@ -186,6 +187,16 @@ def test_a_real_job_against_central_differences_without_another_program(small: J
     parts = split(result)
     np.testing.assert_allclose(parts.whole**2, parts.motion**2 + parts.noise**2, rtol=1e-9)
     assert (parts.friction == 0.0).all()
+
+
+def test_an_unstable_neighbour_is_no_slope(small: Job) -> None:
+    """H_p one longer is unstable, H_u may not be changed."""
+    space = TuneSpec.from_dict(small(tune={"free": {"lam": True, "Hp": True, "Hu": True}})).space
+    for lost in (np.nan, np.inf):
+        slope = Slope(0.9, np.array([0.1, 0.0, 0.0]), np.array([0.9, lost, 0.9, 0.9]))
+        found = _per_parameter(space, slope, np.ones(3), {"Hp": 0.1, "Hu": 0.0})
+        np.testing.assert_allclose(found, [0.1, np.nan, 0.0])
+    assert [_signed(x) for x in found] == ["+0.100", "–", "0"]
 
 
 @pytest.mark.slow

@@ -67,6 +67,16 @@ def test_the_hash_follows_every_number(tmp_path: Path) -> None:
     assert one != spec_of(tmp_path, "[params]\nQ_p = 0.6").digest
 
 
+def test_the_order_of_what_is_free_is_part_of_a_job(tmp_path: Path) -> None:
+    """Vectors have it, and so do the states that a job goes on from."""
+    first, second = "lam = true", "Q_p = true"
+    one, other = (spec_of(tmp_path, f"[tune.free]\n{a}\n{b}") for a, b in ((first, second), (second, first)))
+    assert one.digest != other.digest
+    first, second = "M_s = [2.0, 1.8]", "chatter = [1.2, 0.9]"
+    one, other = (spec_of(tmp_path, f"[pareto]\n{a}\n{b}") for a, b in ((first, second), (second, first)))
+    assert one.digest != other.digest
+
+
 WRONG = {
     "unknown goal": ("[goals]\nMs = 2.0", "goals.Ms", "'M_s'", 2),
     "goal without a limit": ("[goals]\nM_s = true", "goals.M_s", "a number", 2),

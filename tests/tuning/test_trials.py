@@ -1,5 +1,6 @@
 """Random trials: what is drawn, that each is the experiment it claims to be, and what is counted."""
 
+import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -16,9 +17,12 @@ from jaxmpc import Experiment, InputError, Params, Status, evaluate
 from jaxmpc.engine.kernel import Kernel
 from jaxmpc.experiment.reference import Reference
 from jaxmpc.report.content import Table
+from jaxmpc.stability.family import family_margins, judged_where
 from tuning import trials
 from tuning.job.scenarios import RHYTHMS
 from tuning.trials import HARD, NOMINAL, Job, Outcomes, compute, drawn, on_own_tissues
+from tuning.trials.cli import _tables
+from tuning.trials.linear_margins import margins_table
 from tuning.trials.program import Met
 from tuning.trials.report import _short, failures, pairs, ranked, trials_report
 
@@ -96,6 +100,27 @@ def test_the_report_has_every_trial_and_the_worst_as_files() -> None:
     again = Experiment.from_dict(tomllib.loads(rows.details[2].toml))
     assert again.to_dict() == asked.trial(2).to_dict()
     assert report.sections[0].charts[0].marks[0].x == 2.0
+
+
+def test_a_median_counts_what_did_not_last(capsys: pytest.CaptureFixture[str]) -> None:
+    """Six of ten are lost: so is the trial in the middle."""
+    _tables(
+        job(), ["text"], outcomes(np.where(np.arange(10) < 6, np.nan, 0.05)[:, None], 2 * (np.arange(10) < 6)[:, None])
+    )
+    row = next(line for line in capsys.readouterr().out.splitlines() if re.match(r" *text +[∞0]", line))
+    assert row.split()[1:5] == ["∞", "∞", "∞", "∞"]
+
+
+@pytest.mark.oracle
+def test_margins_of_a_family_are_those_of_what_flies_too() -> None:
+    """The fixed gains hold tissues beyond the knots, at the price of M_s; what freezing declares is of the knots."""
+    family, spread = Params.published("family"), NOMINAL._replace(stiffness=(375.0, 1900.0))
+    rows = margins_table(["text", "family"], job(Params(), family, spread=spread))
+    assert [row[:2] for row in rows] == [["text", "1"], ["family, fixed gains", "1"], ["family, known", "1"]]
+    known, ratios = judged_where(family.listening)
+    M_s = family_margins(family, known, ratios, Experiment.published("table-1-wam").loop_path()).M_s
+    assert rows[2][2] == f"{np.max(M_s):.2f}"
+    assert float(rows[1][2]) < float(rows[2][2]) < 2.0
 
 
 def test_a_stable_loop_that_an_event_pushes_is_not_lost() -> None:

@@ -45,6 +45,7 @@ def test_a_tuned_controller_comes_with_its_proof(
         assert f"wrote {path}" in said
     assert {path.name for path in out.iterdir()} == {
         "params.toml",
+        "experiment.toml",
         "history.npz",
         "report.txt",
         "report.html",

@@ -88,8 +88,8 @@ def run_goals(
 
     Args:
         metrics: Each field (…, stiffness, scenarios, 3).
-        reference: Of the start point, the same; a cell that is not a number there, where the start point was
-            unstable, counts as met.
+        reference: Of the start point, the same. A cell that is not a number there, where the start point was
+            unstable, counts as met by whatever is one; of one that is zero, only zero is no more.
         overshoot: Relative to the step, (…, stiffness); needed for that goal alone [-].
         limits: Limit per goal, a key of `MEASURED`.
 
@@ -106,7 +106,8 @@ def run_goals(
         if part == RATIO:
             before = getattr(reference, metric.name)
             known = jnp.isfinite(before) & (before > 0.0)
-            cells = jnp.where(known, cells / jnp.where(known, before, 1.0), 0.0)
+            more = jnp.where((before == 0.0) & (cells > 0.0), jnp.inf, 0.0 * cells)  # NaN stays NaN
+            cells = jnp.where(known, cells / jnp.where(known, before, 1.0), more)
         elif part:
             place = AXES.index(part)
             cells = cells[..., place : place + 1]

@@ -34,12 +34,15 @@ class Risk(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def soft_worst(values: Float[Array, "... cells"]) -> Float[Array, "..."]:
-    """Mean of order `ORDER` along the last dimension: a maximum whose slope moves smoothly between cells."""
+    """Mean of order `ORDER` along the last dimension: a maximum whose slope moves smoothly between cells.
+
+    NaN where a cell is, whose run was lost.
+    """
     highest = jax.lax.stop_gradient(jnp.max(values, axis=-1, keepdims=True))
-    highest = jnp.where(highest > 0.0, highest, 1.0)
+    highest = jnp.where(highest == 0.0, 1.0, highest)
     mean = jnp.mean((values / highest) ** ORDER, axis=-1)
-    safe = jnp.where(mean > 0.0, mean, 1.0)
-    return highest[..., 0] * jnp.where(mean > 0.0, safe ** (1.0 / ORDER), 0.0)
+    safe = jnp.where(mean == 0.0, 1.0, mean)
+    return highest[..., 0] * jnp.where(mean == 0.0, 0.0, safe ** (1.0 / ORDER))
 
 
 def _worst_part(values: Array, share: float) -> Array:

@@ -207,8 +207,9 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def digest(self) -> str:
-        """Hash of the whole job, all defaults written out."""
-        return digest({**self.to_dict(), "experiment": self.experiment.content})
+        """Hash of the whole job, all defaults written out, and of the order in which vectors and fronts have them."""
+        order = [[axis.name for axis in self.space.axes], list(self.pareto)]
+        return digest({**self.to_dict(), "experiment": self.experiment.content, "order": order})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, every default written out."""

@@ -29,7 +29,7 @@ class Values(NamedTuple):
     loss: Any
     gradient: Any
     score: Any
-    """Risk of the soft goals [-]; NaN where unstable."""
+    """Risk of the soft goals [-]; NaN where unstable, or a run was lost."""
     worst: Any
     """Largest residual RMS over stiffness, axis and scenario; NaN where unstable [N]."""
     tissue: Any
@@ -62,8 +62,8 @@ class GoalEvaluation(NamedTuple):
 
     @property
     def log_risk(self) -> Array:
-        """0 where unstable."""
-        return jnp.log(jnp.where(self.stable & (self.risk > 0.0), self.risk, 1.0))
+        """0 where unstable, NaN where a run was lost."""
+        return jnp.log(jnp.where(self.stable & (self.risk != 0.0), self.risk, 1.0))
 
     @property
     def shortfall(self) -> list[Array]:
@@ -222,9 +222,9 @@ def _still(stable: Array, gains: Gains) -> Gains:
 
 
 def _geometric_mean(values: Float[Array, "starts stiffness"]) -> Float[Array, " starts"]:
-    """0 where one is."""
-    some = jnp.all(values > 0.0, axis=1)
-    return jnp.where(some, jnp.exp(jnp.mean(jnp.log(jnp.where(values > 0.0, values, 1.0)), axis=1)), 0.0)
+    """0 where one is, NaN where one is that."""
+    some = jnp.all(values != 0.0, axis=1)
+    return jnp.where(some, jnp.exp(jnp.mean(jnp.log(jnp.where(values == 0.0, 1.0, values)), axis=1)), 0.0)
 
 
 def _wide(goals: Mapping[str, Array]) -> list[Array]:

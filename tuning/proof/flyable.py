@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from jaxmpc.export.freezing import freeze_controller
 from jaxmpc.files.errors import InputError
-from jaxmpc.quantities import HIGHEST_M_S
+from jaxmpc.quantities import FLOOR_FLAGS, HIGHEST_M_S, MARGINS
 from jaxmpc.synthesis.params import Params
 from tuning.job.spec import TuneSpec
 
@@ -15,6 +15,20 @@ from tuning.job.spec import TuneSpec
 def floor_of(spec: TuneSpec) -> dict[str, float]:
     """Margins that a controller of this job promises as it runs: its goals, and M_s whatever they are."""
     return {"M_s": HIGHEST_M_S, **({} if spec.ideal else spec.margin_goals)}
+
+
+def freeze_command(spec: TuneSpec, experiment: str) -> str:
+    """What freezes the job's result with the promises that it was tuned to, on what it was tuned on.
+
+    Args:
+        spec: The job.
+        experiment: Name or file of its experiment.
+    """
+    ideal = spec.ideal and not spec.on_arm
+    floor = {"M_s": HIGHEST_M_S, **spec.margin_goals} if ideal else floor_of(spec)
+    flags = [f"{FLOOR_FLAGS[name]} {limit * MARGINS[name].times:g}" for name, limit in floor.items()]
+    loop = ["--ideal"] if ideal else []
+    return " ".join(["jaxmpc freeze params.toml --experiment", experiment, *loop, *flags, "-o controller.npz"])
 
 
 def refusal(spec: TuneSpec, params: Params) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 from jaxmpc.metrics import Metrics
 from jaxmpc.report.loops import curves
 from jaxmpc.xla.precision import in_float64
-from tuning.job.goals import GOALS, OVERSHOOT, run_goals
-from tuning.proof.result import TuneResult
+from tuning.job.goals import GOALS, OVERSHOOT, RATIO, RUN_GOALS, run_goals
+from tuning.proof.result import LOST, TuneResult
 
 STUDY = "a study without the robot's limits, not a controller for a robot"
 
@@ -67,8 +67,11 @@ def rows(result: TuneResult) -> list[Row]:
     overshoot: Any = (np.nan, np.nan)
     if any(name == OVERSHOOT for name, _, _ in limits):
         overshoot = [curves(params, spec.experiment, spec.ideal).overshoot for params in (spec.before, result.params)]
-    cells = [_cells(result, which) for which in (0, 1)]
     for name, limit, hard in limits:
+        # Beside one that was lost, whatever lasts is better; but a goal in its own unit is a goal there too.
+        beside = name in RUN_GOALS and RUN_GOALS[name].part == RATIO
+        counted = kept(result) if beside else np.full(len(result.held[0]), True)
+        cells = [_cells(result, which, counted) for which in (0, 1)]
         pair = [run_goals(each, cells[0], overshoot[i], {name: 1.0})[name] for i, each in enumerate(cells)]
         per_tissue = np.max(np.asarray(pair[1]), axis=(1, 2))
         largest = [float(np.max(np.asarray(values))) for values in pair]
@@ -82,13 +85,17 @@ def verdict(result: TuneResult) -> str:
     if unmet := result.unmet():
         return unmet
     missed = [row.text for row in rows(result) if row.hard and not row.met]
+    if lost := [
+        str(seed) for seed, held in zip(result.spec.tune.heldout_seeds, result.held[1], strict=True) if not held
+    ]:
+        missed.append(f"|e| < {LOST:g} N in scenario {', '.join(lost)}")
     found = "all hard goals are met" + (f" in training; held out, missed: {', '.join(missed)}" if missed else "")
     if result.spec.experiment.physics == "linear":
         return found
     return found + ("; freeze accepts it" if result.spec.experiment.limited else f"; {STUDY}")
 
 
-def _cells(result: TuneResult, which: int) -> Metrics:
+def _cells(result: TuneResult, which: int, counted: np.ndarray) -> Metrics:
     """Select one controller's metrics in the scenarios that count, each field (stiffness, scenarios, 3)."""
-    cells: Metrics = jax.tree.map(lambda field: np.swapaxes(field[which][kept(result)], 0, 1), result.heldout)
+    cells: Metrics = jax.tree.map(lambda field: np.swapaxes(field[which][counted], 0, 1), result.heldout)
     return cells

@@ -174,9 +174,15 @@ class TuneResult:
         step = self.steps[-1]
         last = int(np.flatnonzero((step.state.path[:, step.state.leader] == step.state.leader_z).all(axis=1))[0])
         runs = step.state.hard[last, step.state.leader, len(limits) :]
-        worst |= dict(zip(step.problem.hard_goals, map(float, runs), strict=True))
+        worst |= dict(zip(step.problem.hard_goals, map(float, np.nan_to_num(runs, nan=np.inf)), strict=True))
         name = max(worst, key=lambda goal: worst[goal], default="")
-        if not name or worst[name] <= FEASIBLE:
+        missed = bool(name) and worst[name] > FEASIBLE
+        if not self.feasible and not (missed and np.isfinite(worst[name])):
+            return (
+                "no point was found that has a score: of the one that came closest a run left the finite numbers or "
+                "1 kN, or a ratio is to nothing"
+            )
+        if not missed:
             return f"it may not fly: freeze refuses {self.refused}" if self.refused else ""
         goal, limit = GOALS[name], self.spec.held[name]
         found = limit * worst[name] if goal.ceiling else limit / worst[name]

@@ -89,7 +89,9 @@ def _per_parameter(space: SearchSpace, slope: Slope, per_unit: np.ndarray, apart
     with np.errstate(divide="ignore", invalid="ignore"):
         # A parameter at its bound has no slope to divide by; it cannot move either.
         relative = np.nan_to_num(slope.gradient / per_unit, posinf=0.0, neginf=0.0)
-        quotients = np.log(slope.beside[1::2] / slope.beside[::2]) / np.array(list(apart.values()))
+        steps = np.array(list(apart.values()))
+        quotients = np.where(steps == 0.0, 0.0, np.log(slope.beside[1::2] / slope.beside[::2]) / steps)
     summed = np.add.reduceat(relative, np.cumsum([0, *(axis.size for axis in space.axes[:-1])]))
-    summed[[axis.whole for axis in space.axes]] = np.nan_to_num(quotients)
+    # NaN where a horizon beside it is unstable: that is no slope, and not none.
+    summed[[axis.whole for axis in space.axes]] = np.where(np.isfinite(quotients), quotients, np.nan)
     return summed if np.isfinite(slope.value) else np.full_like(summed, np.nan)

@@ -106,7 +106,7 @@ def _sensitivities(result: TuneResult, found: Sensitivities) -> Section:
         f"Change of each metric in per cent per per cent of a parameter, of the tuned controller on each tissue alone: "
         f"exact gradients of {of}. The {SCORE} stands for the soft goals "
         f"({', '.join(result.spec.soft)}; worst axis and scenario), margins are relative to their limits. Horizons are "
-        "whole, so theirs is the change over a sample to either side."
+        "whole, so theirs is the change over a sample to either side, – where the loop is unstable there."
     )
     charts = list(sensitivity_charts(result, found))
     return Section(
@@ -115,4 +115,6 @@ def _sensitivities(result: TuneResult, found: Sensitivities) -> Section:
 
 
 def _signed(slope: float) -> str:
+    if np.isnan(slope):
+        return "–"
     return f"{slope:+.3f}" if not abs(slope) < 0.0005 else "0"

@@ -7,9 +7,11 @@ import numpy as np
 
 from jaxmpc import __version__
 from jaxmpc.beside import Beside
+from jaxmpc.experiment import Experiment
 from jaxmpc.files.sealed import seal, write_atomic
 from jaxmpc.files.toml import write_toml
 from jaxmpc.xla.precision import in_float64
+from tuning.proof.flyable import freeze_command
 from tuning.proof.result import TuneResult
 from tuning.reports.explained import study
 from tuning.reports.figures import before_after_figure, history_figure
@@ -18,19 +20,21 @@ from tuning.reports.text import report
 
 
 def write(result: TuneResult, folder: Path) -> list[Path]:
-    """Write params.toml (if every goal is met), history.npz, report.txt, the figures and report.html.
+    """Write params.toml and experiment.toml (if every goal is met), history.npz, report.txt, the figures, report.html.
 
     Returns:
         The files written.
     """
-    written, params = [], folder / "params.toml"
+    written = [folder / "params.toml", folder / "experiment.toml"]
     if not result.met:
-        params.unlink(missing_ok=True)  # of an earlier run: whoever names the folder would take it for this one's
+        for path in written:
+            path.unlink(missing_ok=True)  # of an earlier run: whoever names the folder would take it for this one's
+        written.clear()
     else:
-        written.append(params)
-        experiment = result.spec.experiment.name
-        comment = f"Tuned by jaxmpc. Freeze it: jaxmpc freeze params.toml --experiment {experiment} -o controller.npz"
-        write_toml(written[-1], {"params": result.params.to_dict(), "provenance": provenance(result)}, comment)
+        params, experiment = written
+        comment = f"Tuned by jaxmpc. Freeze it: {freeze_command(result.spec, experiment.name)}"
+        write_toml(params, {"params": result.params.to_dict(), "provenance": provenance(result)}, comment)
+        write_toml(experiment, tuned_on(result.spec.experiment), "What the controller beside this was tuned on.")
     written.append(folder / "history.npz")
     write_atomic(written[-1], history(result))
     written.append(folder / "report.txt")
@@ -44,6 +48,14 @@ def write(result: TuneResult, folder: Path) -> list[Path]:
     written.append(folder / "report.html")
     write_atomic(written[-1], html_report(result, found).encode())
     return written
+
+
+def tuned_on(experiment: Experiment) -> dict[str, Any]:
+    """An experiment as plain data that stands anywhere."""
+    data = experiment.to_dict()
+    if file := data["motion"]["file"]:
+        data["motion"]["file"] = str(Path(file).resolve())
+    return data
 
 
 def provenance(result: TuneResult) -> dict[str, Any]:

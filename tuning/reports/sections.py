@@ -66,7 +66,8 @@ def _goals(result: TuneResult) -> Section:
     kind = "the ideal loop" if spec.ideal else "the loop as it runs"
     words = (
         f"Margins are those of {kind}, the worst over all tissues; goals of the runs are the worst of the held-out "
-        f"scenarios. Hard goals are held, soft ones minimised: {spec.risk.kind} over {len(spec.tune.train_seeds)} "
+        "scenarios, ratios of those that the controller before held. Hard goals are held, soft ones minimised: "
+        f"{spec.risk.kind} over {len(spec.tune.train_seeds)} "
         "scenarios in training."
     )
     if spec.implied:

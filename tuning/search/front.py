@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc import described
-from jaxmpc.files.sealed import write_atomic
+from jaxmpc.files.sealed import digest, write_atomic
 from jaxmpc.metrics import Metrics
 from jaxmpc.pictures.figures import figure
 from jaxmpc.quantities import METRICS, PARAMETERS
@@ -79,11 +79,11 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
     goals = [*job.margin_goals, *problem.hard_goals]
     asked = np.stack([limits.get(name, np.full(len(combined), job.held[name])) for name in goals], axis=1)
     floors = np.array([not GOALS[name].ceiling for name in goals])
-    starts = np.tile(z, (len(combined), 1))
+    starts, key = np.tile(z, (len(combined), 1)), digest({"job": job.digest, "from": z.tolist()})
     for leg in range(LEGS):
         plan = schedule(max(1, round(SHARE * spec.tune.steps)), False, spec.tune.learning_rate * 0.5**leg)
         plan = plan._replace(patience=len(plan.widths))
-        state = descend(job, problem, starts, plan, folder, f"state-pareto-{leg + 1}.npz", progress)
+        state = descend(job, problem, starts, plan, folder, f"state-pareto-{leg + 1}.npz", progress, key)
         starts = handed_on(state, asked, floors)
     values = problem.differentiate(starts, 1.0)
     held = values.hard.max(axis=1) <= FEASIBLE

@@ -84,6 +84,7 @@ def descend(
     folder: Path | None = None,
     name: str = NAME,
     show: bool = False,
+    key: str | None = None,
 ) -> SearchState:
     """Run a descent, or continue it from the state in its folder.
 
@@ -95,12 +96,14 @@ def descend(
         folder: Where the state is kept; None keeps none.
         name: Under which name.
         show: Whether to show progress.
+        key: What the state belongs to; None is the job.
     """
+    key = key or spec.digest
     begin, update = optimiser()
     goals = len(spec.margin_goals) + len(problem.hard_goals), len(problem.soft_goals)
     state = SearchState.new(z, begin(jnp.asarray(z)), len(plan.widths), goals)
     if folder is not None:
-        state = load(folder, spec.digest, state, name)
+        state = load(folder, key, state, name)
     saved = time.monotonic()
     with progress(f"tune ({name_of(name)})", len(plan.widths), "steps", show) as tick:
         while state.iteration < len(plan.widths) and not state.stalled(plan.patience, plan.polish):
@@ -116,10 +119,10 @@ def descend(
             state.iteration += 1
             tick(state.iteration, note(spec, state))
             if folder is not None and time.monotonic() - saved > SAVE_EVERY:
-                save(folder, spec.digest, state, name)
+                save(folder, key, state, name)
                 saved = time.monotonic()
     if folder is not None:
-        save(folder, spec.digest, state, name)
+        save(folder, key, state, name)
     return state
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxmpc import __version__
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
+from jaxmpc.loop.linear import HIGHEST_FORCE
 from tuning.objective.loss import Values
 
 NAME = "state.npz"
@@ -117,8 +118,10 @@ class SearchState:
         self.M_s[i], self.hard[i], self.soft[i] = values.M_s.max(axis=1), values.hard, values.soft
         self.path[i] = self.z
         if exact:
-            # A start that left the finite numbers is as far from its goals as can be.
+            # A start that left the finite numbers, or 1 kN, is as far from its goals as can be.
+            lasted = values.cells.peak_error.max(axis=(1, 2, 3)) < HIGHEST_FORCE
             largest = np.nan_to_num(values.hard.max(axis=1, initial=0.0), nan=np.inf, posinf=np.inf)
+            largest = np.where(lasted, largest, np.inf)
             score = np.where(largest <= FEASIBLE, np.nan_to_num(values.score, nan=np.inf), np.inf)
             if score.min() < self.best.min() * (1.0 - worth):
                 self.gained = i

@@ -12,11 +12,8 @@ from jaxmpc.terminal.arguments import engine_argument
 if TYPE_CHECKING:
     from jaxmpc.experiment import Experiment
     from jaxmpc.report.content import Table
-    from jaxmpc.synthesis.params import Params
     from tuning.trials import Job, Outcomes, Told
 
-TISSUES = 33
-"""Stiffnesses, log-spaced, at which the linear margins are judged."""
 LISTED = 5
 """Worst trials told of each controller."""
 TOLD = 20
@@ -64,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.beside import Beside
     from tuning.trials import HARD, MOST, NOMINAL, Job, on_own_tissues
     from tuning.trials import run as run_trials
+    from tuning.trials.linear_margins import COLUMNS, TISSUES, margins_table
 
     given = [text.partition("=") for text in (args.params, args.against) if text]
     controllers = tuple(params_from(place or text) for text, _, place in given)
@@ -93,13 +91,12 @@ def run(args: argparse.Namespace) -> int:
         blocks = args.out / "blocks" if args.out else None
         with Beside(1) as beside:
             # Of little work and much compiling, which the trials leave a core for while they compile themselves.
-            margins = beside.submit(_margins, names, job)
+            margins = beside.submit(margins_table, names, job)
             found = run_trials(job, args.trials, blocks, not args.quiet, heard)
             print(f"{args.trials} trials × {len(names)} controllers after {time.monotonic() - began:.0f} s")
             verdicts = _tables(job, names, found)
             print()
-            told = ("controller", "delay", "M_s", "at N/m", "GM dB", "PM °", "DM ms", "M_s presliding", "at N/m")
-            show(f"linear margins, the worst of {TISSUES} tissues", told, margins.result())
+            show(f"linear margins, the worst of {TISSUES} tissues", COLUMNS, margins.result())
         if args.out:
             _files(args.out, job, trials, names, found, verdicts)
     except OSError as error:
@@ -178,10 +175,12 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> "Table":
     print("\n".join(reasons))
     rows = []
     for c, (name, params) in enumerate(zip(names, job.controllers, strict=True)):
-        peak, swing = (np.nan_to_num(field[:, c].max(axis=-1), nan=np.inf) for field in (found.peak_error, found.swing))
+        fields = found.peak_error, found.swing, found.rms, found.true_rms
+        # What did not last counts as worse than all that did.
+        peak, swing, *residuals = (np.nan_to_num(field[:, c].max(axis=-1), nan=np.inf) for field in fields)
         # Of the sorted values, not between them: some may be infinite.
         spans = [*np.quantile(peak, (0.99, 1.0), method="lower"), *np.quantile(swing, (0.5, 0.95), method="lower")]
-        medians = [np.nanmedian(field[:, c].max(axis=-1)) for field in (found.rms, found.true_rms)]
+        medians = [np.quantile(field, 0.5, method="lower") for field in residuals]
         figures = [number(value, 3) for value in (*medians, *spans)]
         rest = f"{100 * found.at_rest[:, c].mean():.2f}" if params.guarded else "–"
         rows.append([name, *figures, rest])
@@ -205,39 +204,6 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> "Table":
             largest, status = found.peak_error[i, c].max(), Status(int(found.status[i, c]))
             print(f"  {i:>6}  {status.name:<11} |e| {number(largest, 2)} N  {draws(job.trial(i))}")
     return verdicts_told
-
-
-def _margins(names: list[str], job: "Job") -> list[list[str]]:
-    """A row per controller and delay."""
-    from jaxmpc.xla.place import on_cpu
-
-    with on_cpu():
-        return [row for name, each in zip(names, job.controllers, strict=True) for row in _per_delay(name, each, job)]
-
-
-def _per_delay(name: str, params: "Params", job: "Job") -> list[list[str]]:
-    """A row per delay: as the loop runs, and with the joints' friction as springs."""
-    import numpy as np
-    from msgspec.structs import replace
-
-    from jaxmpc import margins
-    from jaxmpc.stability.presliding import presliding_frequencies, presliding_peak
-    from jaxmpc.terminal.tables import number
-
-    tissues = np.geomspace(*job.spread.stiffness, TISSUES)
-    frequencies = presliding_frequencies(job.base)
-    rows = []
-    for delay in job.spread.scenarios.delays:
-        path = replace(job.base, delay=delay).loop_path()
-        found = margins(params, tissues, path=path)
-        sticking = np.asarray(presliding_peak(params, tissues, frequencies, path))
-        M_s = np.asarray(found.M_s)
-        up, down, phase, late = (float(np.min(np.asarray(field))) for field in found[1:5])
-        gains = f"{number(up, 1)} / −{number(down, 1)}"
-        peaks = [(number(field.max(), 2), f"{tissues[int(np.argmax(field))]:.0f}") for field in (M_s, sticking)]
-        numbers = [*peaks[0], gains, number(phase, 0), number(1e3 * late, 1), *peaks[1]]
-        rows.append([name, str(delay), *(text if text != "nan" else "–" for text in numbers)])
-    return rows
 
 
 def _files(
