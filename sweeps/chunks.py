@@ -54,7 +54,8 @@ def read_chunks(folder: Path, plan: Plan, *, known: StoredChunks | None = None, 
         except FileNotFoundError:
             continue
         except SealError as error:
-            log.warning("%s is computed again: %s", path.name, error)
+            fate = "is computed again" if mend else "is left out, until the sweep is run again"
+            log.warning("%s %s: %s", path.name, fate, error)
             if mend:
                 os.replace(path, path.with_name(path.name + DAMAGED))
             continue

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import spearmanr
 
-from jaxmpc.report.influence import first_order, stretches
+from jaxmpc.report.influence import crossed, first_order, stretches
 from sweeps.axis import SweepAxis
 from sweeps.result import Result
 
@@ -42,21 +42,22 @@ def sensitivity(result: Result, name: str) -> dict[str, Influence]:
     low, high = float(score[finite].min()), float(score[finite].max())
     lost = high + (np.log(2.0) if logarithmic else high - low)
     score = np.where(finite, score, lost if np.isposinf(values[~finite]).any() else low - (lost - high))
-    return {axis.name: _influence(axis, result, score, finite) for axis in result.axes}
+    exact = crossed([result[axis.name] for axis in result.axes])
+    return {axis.name: _influence(axis, result, score, finite, exact) for axis in result.axes}
 
 
-def _influence(axis: SweepAxis, result: Result, score: np.ndarray, finite: np.ndarray) -> Influence:
+def _influence(axis: SweepAxis, result: Result, score: np.ndarray, finite: np.ndarray, exact: bool) -> Influence:
     alone = len(result.axes) == 1 and float(score.std()) > 0.0
-    share = 1.0 if alone else first_order(_cells(axis, result), score)
+    share = 1.0 if alone else first_order(_cells(axis, result, exact), score, exact)
     entries = result[axis.name][finite]
     varied = axis.numeric and len(np.unique(entries)) > 1 and float(score[finite].std()) > 0.0
     return Influence(share, float(spearmanr(entries, score[finite]).statistic) if varied else float("nan"))
 
 
-def _cells(axis: SweepAxis, result: Result) -> np.ndarray:
+def _cells(axis: SweepAxis, result: Result, exact: bool) -> np.ndarray:
     """Which value each row has, or which stretch of a range where rows, drawn or of a refinement, lie anywhere."""
     entries = result[axis.name]
-    if axis.scale == "choice" or (result.plan.space.kind == "grid" and not result.stages):
+    if exact or axis.scale == "choice" or (result.plan.space.kind == "grid" and not result.stages):
         which: np.ndarray = np.unique(entries, return_inverse=True)[1]
         return which
     return stretches(entries)

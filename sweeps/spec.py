@@ -95,7 +95,9 @@ class SweepSpec:
         _check_filters(space, params)
         kept = columns_kept(table.columns, goal)
         spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)
-        return replace(spec, refine=_refine(data["refine"], spec)) if "refine" in data else spec
+        spec = replace(spec, refine=_refine(data["refine"], spec)) if "refine" in data else spec
+        _check_effect(spec)
+        return spec
 
     def on(self, changes: dict[str, Any], root: str = "experiment") -> "SweepSpec":
         """The same sweep on a changed experiment.
@@ -132,6 +134,23 @@ def _check_filters(space: SweepSpace, params: Params) -> None:
             raise InputError(
                 f"sweep.axes.{key}", "swept", f"swept where the controller has no {own}", f"Sweep {own} instead."
             )
+
+
+def _check_effect(spec: SweepSpec) -> None:
+    """Refuse what only the arm has, where no run is on it.
+
+    Raises:
+        InputError: Such an axis is swept.
+    """
+    refine = spec.refine
+    changes = [] if refine is None else [stage.experiment for stage in refine.stages]
+    changes += [] if refine is None or refine.rerun is None else [refine.rerun.experiment]
+    if {spec.experiment.physics, *(each.get("physics", "linear") for each in changes)} != {"linear"}:
+        return
+    for axis in spec.space.axes:
+        if axis.name.startswith(("arm.", "tissue.")):
+            bound = "swept where runs are on the arm: the linear loop has none"
+            raise InputError(f"sweep.axes.{axis.name}", "swept", bound, 'Set experiment.physics = "wam".')
 
 
 def _refine(data: Any, spec: SweepSpec) -> RefineTable:

@@ -161,8 +161,8 @@ def _twin(args: argparse.Namespace) -> tuple[Any, Any]:
 
     world = {"stiffness": args.stiffness, "rhythm": args.rhythm, "seed": args.seed, "faults": tuple(args.fault)}
     clock = LockstepClock(Twin(twin_settings(args.experiment, **world)))
-    if said := unlike_the_simulation(args.experiment, args.rhythm):
-        print(said)
+    for sentence in unlike_the_simulation(args.experiment, args.rhythm):
+        print(sentence)
     return clock, LockstepBus(clock)
 
 

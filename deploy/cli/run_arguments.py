@@ -1,6 +1,7 @@
 """The arguments of `jaxmpc run`: what they are, what they may be, and the options of a session that they ask for."""
 
 import argparse
+from collections.abc import Mapping
 from math import cos, isfinite, radians, sin
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,10 @@ LONGEST = 50.0
 """Longest recording of 1 kHz that can be read again [s]."""
 ONE_PROGRAM = ("slcan", "serial", "robotell")
 """Interfaces of python-can that are a serial line, which two programs read to pieces."""
+OF_THE_TWIN: Mapping[str, Any] = {"experiment": None, "stiffness": None, "rhythm": None, "fault": [], "seed": 0}
+"""Arguments of a twin in this process, and what they are where nobody gives them."""
+OF_THE_BUS: Mapping[str, Any] = {"interface": None, "channel": None, "cpu": None, "home": False}
+"""Those of a bus and of the computer on it."""
 CONTACTS = {"approach_speed": (0.1, 50.0), "approach_limit": (1.0, 200.0), "retract": (1.0, 200.0)}
 """Bounds [mm/s], [mm], [mm]."""
 
@@ -85,8 +90,15 @@ def check(args: argparse.Namespace) -> None:
     """Refuse what no run can be asked for.
 
     Raises:
-        InputError: An argument is out of range.
+        InputError: An argument is out of range, or of no effect in such a run.
     """
+    idle, remedy = OF_THE_TWIN, "`jaxmpc twin` takes it, where that is on the bus; --lockstep flies against one here."
+    if args.lockstep:
+        idle, remedy = OF_THE_BUS, "Leave it out: a twin in this process has neither a bus nor a time of its own."
+    for name, nothing in idle.items():
+        if (given := getattr(args, name, nothing)) != nothing:
+            bound = "left out with --lockstep" if args.lockstep else "given with --lockstep"
+            raise InputError(f"--{name}", given, bound, remedy)
     for name, (low, high) in CONTACTS.items():
         if not low <= getattr(args, name) <= high:
             bound = f"in [{low:g}, {high:g}]"

@@ -91,8 +91,8 @@ def run(args: argparse.Namespace) -> int:
             faults=(*presses, *args.fault),
         )
     )
-    if said := unlike_the_simulation(args.experiment, args.rhythm):
-        print(said)
+    for sentence in unlike_the_simulation(args.experiment, args.rhythm):
+        print(sentence)
     try:
         server = Server(twin, args.port)
     except OSError as error:

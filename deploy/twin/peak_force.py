@@ -33,7 +33,7 @@ class PeakForces:
             self.measured, self.measured_push = max(self.measured, size), max(self.measured_push, -force[2])
 
     def report(self, faults: Sequence[Fault], texts: Sequence[str], well: bool, end: float, limit: float) -> list[str]:
-        """Both peaks, and each fault that began without ending the run.
+        """Both peaks, and each fault that never began, or began without ending the run.
 
         Args:
             faults: Of the twin.
@@ -48,7 +48,9 @@ class PeakForces:
             f"largest force in any direction: true {self.true:.2f} N{beyond}, measured {self.measured:.2f} N, "
             f"limit {limit:g} N",
         ]
-        if well:
-            begun = [text for fault, text in zip(faults, texts, strict=True) if fault.start < end]
-            lines += [f"NOT NOTICED: fault {text}; the run ended as if there were none" for text in begun]
+        for fault, text in zip(faults, texts, strict=True):
+            if fault.start >= end:
+                lines.append(f"NEVER BEGAN: fault {text}; the run ended {end:.1f} s after the twin began")
+            elif well:
+                lines.append(f"NOT NOTICED: fault {text}; the run ended as if there were none")
         return lines

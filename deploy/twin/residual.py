@@ -6,6 +6,8 @@ from jaxmpc.law.vectors import Vector3
 
 SETTLE = 5.0
 """What is left out of the time in contact, as in the paper's Table I [s]."""
+LEAST = 1.0
+"""Shorter than this no residual is told: a heart has not beaten once [s]."""
 
 
 class _Residual:
@@ -33,6 +35,7 @@ class FlownResiduals:
     def __init__(self) -> None:
         """Begin without any."""
         self.measured, self.true = _Residual(), _Residual()
+        self._last = 0.0
 
     def add(self, contact_time: float, wanted: Vector3, measured: Vector3 | None, true: Vector3) -> None:
         """Count a cycle in contact.
@@ -43,6 +46,7 @@ class FlownResiduals:
             measured: Force that the sensor read [N]; None or NaN where it gave none.
             true: Force on the tissue [N].
         """
+        self._last = contact_time
         if contact_time < SETTLE:
             return
         self.true.add(true, wanted)
@@ -50,8 +54,8 @@ class FlownResiduals:
             self.measured.add(measured, wanted)
 
     def report(self) -> list[str]:
-        """Measured first, true second; nothing of a flight that was too short."""
-        if not (self.measured.count and self.true.count):
-            return []
+        """Measured first, true second; of a flight that was too short, that it was."""
+        if not (self.measured.count and self.true.count) or self._last < SETTLE + LEAST:
+            return [f"no residual: it is told of what follows {SETTLE:g} s in contact, {LEAST:g} s of it at least"]
         head = f"residual after {SETTLE:g} s in contact, pp / RMS [N]"
         return [f"{head}  X, Y, Z", f"  measured  {self.measured.text()}", f"  true force{self.true.text()}"]

@@ -20,6 +20,8 @@ SCENARIOS = ("ventilator-hold", "cough", "amplitude-drift")
 
 ARM = ("tool_mass", "beyond_sensor", "coulomb", "viscous", "presliding")
 """Fields that the arm of an experiment and the twin have alike."""
+SIMULATED = ("cable_hz", "encoder_counts", "torque_lsb", "torque_limit")
+"""Fields of the arm that the twin has not: its cables are rigid, its drives those of its pucks."""
 SENSOR = ("noise", "lsb", "lowpass_hz")
 """Such fields of the force sensor."""
 
@@ -88,17 +90,26 @@ def twin_settings(
     return TwinSettings(**settings, seed=seed, **others)
 
 
-def unlike_the_simulation(experiment: str | None, rhythm: str | None) -> str:
-    """A sentence on what the twin's heart does otherwise than the experiment says; empty where it does the same."""
-    if experiment is None or rhythm is not None:
-        return ""
-    motion = read_toml(_file_of(experiment)).get("motion", {})
-    if motion.get("kind") != "recording" or motion.get("repeat", False):
-        return ""
-    return (
-        f"{experiment} plays {motion['file']} once; the twin, which has no end, repeats it, faded to rest at both ends "
-        "with a rest between: set motion.repeat = true, and the simulation does so too"
-    )
+def unlike_the_simulation(experiment: str | None, rhythm: str | None) -> list[str]:
+    """Sentences on what the twin does otherwise than the experiment, or than a recording named beside it, says."""
+    found = []
+    data = read_toml(_file_of(experiment)) if experiment is not None else {}
+    motion = data.get("motion", {}) if rhythm is None else {}
+    if rhythm is not None and motion_named(rhythm).kind == "recording":
+        found.append(
+            f"the twin, which has no end, repeats {rhythm}, faded to rest over 0.5 s at both ends with 1 s between"
+        )
+    if motion.get("kind") == "recording" and not motion.get("repeat", False):
+        found.append(
+            f"{experiment} plays {motion['file']} once; the twin, which has no end, repeats it, faded to rest at both "
+            "ends with a rest between: set motion.repeat = true, and the simulation does so too"
+        )
+    arm = convert(data.get("arm", {}), ArmSettings, "arm")
+    changed = {key: getattr(arm, key) for key in SIMULATED if getattr(arm, key) != getattr(ArmSettings(), key)}
+    if changed:
+        told = ", ".join(f"arm.{key} = {value}" for key, value in changed.items())
+        found.append(f"NOT IN THE TWIN, whose cables are rigid and whose drives are its pucks': {told}")
+    return found
 
 
 def _of_experiment(name: str) -> dict[str, Any]:

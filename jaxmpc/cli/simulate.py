@@ -168,7 +168,7 @@ def _figures(
     folder: Path, experiment: "Experiment", controller: str, outcome: "Outcome", still: "Outcome"
 ) -> int | None:
     """Draw the worst of what ended well; its row, or None where nothing did."""
-    from jaxmpc.pictures.experiment_figures import experiment_figure, row_to_draw, spectrum_figure
+    from jaxmpc.pictures.experiment_figures import experiment_figure, row_to_draw, spectrum_figure, worst_of
     from jaxmpc.terminal.tables import show
 
     row = row_to_draw(outcome, still)
@@ -177,7 +177,7 @@ def _figures(
         return None
     path = folder / f"{experiment.name}.png"
     experiment_figure(path, experiment, controller, outcome, still, row)
-    others = ", the worst of them" if len(experiment.stiffness) > 1 else ""
+    others = f", {worst_of(experiment, outcome)}" if len(experiment.stiffness) > 1 else ""
     print(f"figure: {path} ({experiment.stiffness[row]:g} N/m{others})")
     if still is not outcome:
         path = folder / f"{experiment.name}-spectrum.png"
@@ -201,6 +201,7 @@ def _statuses(label: str, outcome: "Outcome", experiment: "Experiment") -> None:
     import numpy as np
 
     from jaxmpc import Status
+    from jaxmpc.quantities import AXES
 
     for stiffness, code, when in zip(experiment.stiffness, outcome.status, outcome.when, strict=True):
         status, at = Status(int(code)), float(when)
@@ -209,3 +210,10 @@ def _statuses(label: str, outcome: "Outcome", experiment: "Experiment") -> None:
             if status == Status.UNSTABLE and moment:
                 moment = f", force out of bounds{moment}"
             print(f"{label}{stiffness:g} N/m: {status.name}{moment}: {status.sentence}")
+    steps = [axis for axis in AXES if isinstance(value := getattr(experiment.reference, axis), float) and value]
+    if steps and experiment.physics != "linear" and (np.asarray(outcome.status) != Status.OK).any():
+        ramp = '{ kind = "ramp", to = -5.0, rate = 2.0 }'
+        print(
+            f"reference.{steps[-1]} is wanted at once, which no run on a robot does: begin with a ramp, "
+            f"{steps[-1]} = [{ramp}]"
+        )

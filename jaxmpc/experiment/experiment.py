@@ -1,6 +1,7 @@
 """An experiment: stiffness set × heart motion × force reference × imperfections, as a TOML file."""
 
 import hashlib
+from contextlib import suppress
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -141,7 +142,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
 
     @staticmethod
     def from_toml(path: str | Path) -> "Experiment":
-        """An experiment from its file; a recording is looked for beside it.
+        """An experiment from its file, whose name it has unless it gives another; a recording is looked for beside it.
 
         Raises:
             InputError: Names file, line, key, value, bound and remedy.
@@ -150,6 +151,10 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
 
         data = read_toml(path)
         with located(path):
+            if not data:
+                raise InputError("experiment", "empty", "a file with a key at least", 'One may be physics = "wam".')
+            with suppress(InputError):  # one that is no plain name stays without
+                data = {"name": plain_name("name", Path(path).stem), **data}
             return Experiment.from_dict(data, Path(path).parent)
 
     @staticmethod

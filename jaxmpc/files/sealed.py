@@ -55,6 +55,10 @@ def seal(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
+ARCHIVE = b"PK"
+"""What an npz file begins with."""
+
+
 def unseal(data: bytes, largest: int = LARGEST) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays of sealed bytes; nothing is parsed before the seal is found intact.
 
@@ -71,7 +75,9 @@ def unseal(data: bytes, largest: int = LARGEST) -> tuple[dict[str, Any], dict[st
         raise SealError(f"it has {len(data)} bytes, more than the {largest} that are read")
     body, trailer = data[:-SEAL], data[-SEAL:]
     if hashlib.sha256(body).digest() != trailer:
-        raise SealError("its sha256 seal does not match its content: it was changed or cut short after it was written")
+        why = "it was changed or cut short after it was written"
+        why += "" if data.startswith(ARCHIVE) else ", or is none of jaxmpc's sealed files"
+        raise SealError(f"its sha256 seal does not match its content: {why}")
     try:
         _check_contents(body)
         with np.load(io.BytesIO(body), allow_pickle=False) as archive:

@@ -20,6 +20,8 @@ QUIET = "#5b616b"
 """Without motion: what the noise alone leaves, over which the rest stands."""
 TITLE = 76
 """Characters of a title's line."""
+USABLE = (int(Status.OK), int(Status.LOST_CONTACT))
+"""Statuses of runs that went on to their end."""
 SHOWN_HZ = 8.0
 """Where the spectrum ends: the paper's last peak is at 6.32 [Hz]."""
 
@@ -29,9 +31,8 @@ def row_to_draw(outcome: "Outcome", still: "Outcome") -> int | None:
 
     Losing contact is no obstacle: the run went on. A run that ended otherwise has no residual; it is told in words.
     """
-    usable = (int(Status.OK), int(Status.LOST_CONTACT))
     pairs = zip(np.asarray(outcome.status), np.asarray(still.status), strict=True)
-    ended = [row for row, pair in enumerate(pairs) if all(code in usable for code in pair)]
+    ended = [row for row, pair in enumerate(pairs) if all(int(code) in USABLE for code in pair)]
     worst = np.nan_to_num(np.asarray(outcome.metrics.rms), nan=0.0).max(axis=-1)
     return max(ended, key=lambda row: float(worst[row]), default=None)
 
@@ -46,9 +47,16 @@ def disturbance_seen(experiment: Experiment, outcome: "Outcome", still: "Outcome
     )
 
 
-def title_of(experiment: Experiment, controller: str, row: int, notes: str) -> str:
+def worst_of(experiment: Experiment, outcome: "Outcome") -> str:
+    """What the tissue that is drawn is the worst of, in words."""
+    if all(int(code) in USABLE for code in np.asarray(outcome.status)):
+        return f"the worst of {len(experiment.stiffness)}"
+    return "the worst of those that held"
+
+
+def title_of(experiment: Experiment, controller: str, row: int, notes: str, outcome: "Outcome") -> str:
     """What ran on which tissue, and below it what there is to know, in lines that the figure holds."""
-    worst = f", the worst of {len(experiment.stiffness)}" if len(experiment.stiffness) > 1 else ""
+    worst = f", {worst_of(experiment, outcome)}" if len(experiment.stiffness) > 1 else ""
     ran = f"{experiment.name}, {controller}, K_s = {experiment.stiffness[row]:g} N/m{worst}"
     return "\n".join([*textwrap.wrap(ran, TITLE), *textwrap.wrap(notes, TITLE)])
 
@@ -96,7 +104,7 @@ def experiment_figure(
         lost = float(outcome.when[row]) if outcome.status[row] == Status.LOST_CONTACT else None
         notes = ["shaded: not scored"] if experiment.settle else []
         notes += [] if lost is None else [f"dotted: contact lost at {lost:.1f} s"]
-        top.set_title(title_of(experiment, controller, row, "; ".join(notes)), loc="left", parse_math=False)
+        top.set_title(title_of(experiment, controller, row, "; ".join(notes), outcome), loc="left", parse_math=False)
         top.set_ylabel("disturbance [N]")
         applied.set_ylabel("applied force [N]")
         for panel in (top, applied):
@@ -149,6 +157,6 @@ def spectrum_figure(
         panel.set_xlabel("frequency [Hz]")
         panel.set_ylabel("disturbance [N²/Hz]")
         notes = f"{seconds:g} s, bins of {1.0 / seconds:.2g} Hz, Hann window; peaks in Hz"
-        panel.set_title(title_of(experiment, controller, row, notes), loc="left", parse_math=False)
+        panel.set_title(title_of(experiment, controller, row, notes, outcome), loc="left", parse_math=False)
         panel.legend(loc="upper right")
     return found

@@ -1,5 +1,6 @@
 """Importance by variance: which share of a goal's spread each parameter explains alone."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,13 +22,30 @@ def influence(parameters: Sequence[Measure], goals: Sequence[Measure]) -> Mappin
         parameters: Shape (rows,) each.
         goals: Shape (rows,) or (rows, tissues) each.
     """
-    cells = [stretches(each.values) for each in parameters]
+    columns = [each.values for each in parameters]
+    exact = crossed(columns)
+    cells = [np.unique(each, return_inverse=True)[1] if exact else stretches(each) for each in columns]
     found = {}
     for goal in goals:
-        columns = [goal.worst] if goal.values.ndim == 1 else [goal.worst, *goal.values.T]
-        scores = [_score(values, goal.sense == "floor") for values in columns]
-        found[goal.name] = np.array([[first_order(cell, score) for score in scores] for cell in cells])
+        each = [goal.worst] if goal.values.ndim == 1 else [goal.worst, *goal.values.T]
+        scores = [_score(values, goal.sense == "floor") for values in each]
+        found[goal.name] = np.array([[first_order(cell, score, exact) for score in scores] for cell in cells])
     return found
+
+
+def crossed(columns: Sequence[np.ndarray]) -> bool:
+    """Whether rows hold every combination of the parameters' values, and each as often: a whole grid.
+
+    Args:
+        columns: Of each parameter, (rows,); those that are swept together count as one.
+    """
+    places = [np.unique(values, return_inverse=True)[1] for values in columns]
+    own = np.stack([place for i, place in enumerate(places) if not any((place == one).all() for one in places[:i])])
+    sizes = [int(place.max()) + 1 for place in own]
+    if math.prod(sizes) > own.shape[1]:
+        return False
+    counts = np.unique(own, axis=1, return_counts=True)[1]
+    return len(counts) == math.prod(sizes) and bool((counts == counts[0]).all())
 
 
 def stretches(values: np.ndarray) -> np.ndarray:
@@ -40,20 +58,23 @@ def stretches(values: np.ndarray) -> np.ndarray:
     return np.searchsorted(np.unique(edges), values, "right")
 
 
-def first_order(cell: np.ndarray, score: np.ndarray) -> float:
+def first_order(cell: np.ndarray, score: np.ndarray, exact: bool = False) -> float:
     """Var(E[score | cell]) / Var(score), in [0, 1], less what chance alone would give.
 
     Args:
         cell: Each row's stretch of the parameter.
         score: Each row's value; all finite.
+        exact: Whether rows are a whole grid, in which nothing is left to chance: whatever else is swept averages out.
     """
     rows, size = len(score), np.bincount(cell)
     spread = float(np.var(score))
     groups = int((size > 0).sum())
-    if rows <= groups or groups < 2 or spread <= 1e-12 * float(np.mean(score)) ** 2:
+    if (rows <= groups and not exact) or groups < 2 or spread <= 1e-12 * float(np.mean(score)) ** 2:
         return 0.0
     means = np.bincount(cell, score) / np.maximum(size, 1)
     between = float((size * (means - score.mean()) ** 2).sum()) / rows
+    if exact:
+        return float(np.clip(between / spread, 0.0, 1.0))
     within = spread - between
     # Means of few rows scatter by chance: each group's by its variance over its size.
     unbiased = between - within * (groups - 1) / (rows - groups)

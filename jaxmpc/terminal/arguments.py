@@ -29,6 +29,9 @@ def params_from(text: str) -> "Params":
         return Params.published(text)
     if os.path.isdir(text):
         return Params.from_toml(tuned_file(Path(text)))
+    if text.endswith(".npz"):
+        remedy = "A frozen controller is flown (`jaxmpc run`), compared and checked; here its parameters are wanted."
+        raise InputError("PARAMS", text, "a params.toml, a published set or the folder of a tuning run", remedy)
     return Params.from_toml(text) if _is_path(text) else Params.published(text)
 
 

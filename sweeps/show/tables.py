@@ -55,7 +55,11 @@ def sensitivity_table(result: Result) -> str:
         texts = [text for cell in cells for text in (f"{100 * cell.share:.1f} %", f"{cell.correlation:+.2f}")]
         lines.append([axis.name, *texts])
     title = "share of the variance of each quantity's logarithm that an axis explains alone, and Spearman's correlation"
-    return "\n".join([f"{title}; {int(np.sum(result.ok))} of {len(result)} rows are OK everywhere", *aligned(lines)])
+    ok, rows = int(np.sum(result.ok)), len(result)
+    title += f"; {ok} of {rows} rows are OK everywhere"
+    if ok < rows:
+        title += ": shares are of all, what was lost counted as bad, correlations of what has a number"
+    return "\n".join([title, *aligned(lines)])
 
 
 def aligned(lines: Sequence[Sequence[str]]) -> list[str]:

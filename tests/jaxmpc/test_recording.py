@@ -211,3 +211,24 @@ def test_any_text_is_read_or_refused(
         return
     assert np.isfinite(t).all()
     assert np.isfinite(values).all()
+
+
+def test_metres_that_are_called_millimetres_are_told(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "r.csv", recording())
+    read_recording(path, "m")
+    with pytest.raises(InputError, match=r'0\.006 mm peak to peak.*set motion\.unit = "m"'):
+        read_recording(path, "mm")
+    still = np.column_stack([recording()[:, 0], np.zeros((400, 3))])
+    read_recording(write_csv(tmp_path / "still.csv", still), "mm")
+
+
+def test_an_experiment_has_the_name_of_its_file(tmp_path: Path) -> None:
+    (tmp_path / "my tissue.toml").write_text("duration = 8.0\n")
+    assert Experiment.from_toml(tmp_path / "my tissue.toml").name == "my tissue"
+    (tmp_path / "a.toml").write_text('name = "b"\n')
+    assert Experiment.from_toml(tmp_path / "a.toml").name == "b"
+    (tmp_path / "a@b.toml").write_text("duration = 8.0\n")
+    assert Experiment.from_toml(tmp_path / "a@b.toml").name == "experiment"
+    (tmp_path / "empty.toml").write_text("# nothing\n")
+    with pytest.raises(InputError, match="a file with a key at least"):
+        Experiment.from_toml(tmp_path / "empty.toml")

@@ -14,7 +14,7 @@ import pytest
 
 from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
 from jaxmpc.report.content import Measure, Report, measure
-from jaxmpc.report.influence import first_order, influence, stretches
+from jaxmpc.report.influence import crossed, first_order, influence, stretches
 from jaxmpc.report.page import page
 from jaxmpc.report.payload import payload, quantised
 from tests.report.made_up import FOREIGN, candidates, report
@@ -137,6 +137,20 @@ def test_what_explains_nothing_gets_nothing() -> None:
     # Without the correction chance alone would give 31/2000 = 0.016 on average.
     assert np.mean(found) < 0.006
     assert first_order(stretches(np.arange(20.0)), np.ones(20)) == 0.0
+
+
+def test_shares_of_a_whole_grid_are_those_of_its_own_analysis_of_variance() -> None:
+    """In a grid whatever else is swept averages out: sums of squares of a sum of two functions add up to the whole."""
+    a, b, twice = (each.ravel() for each in np.meshgrid([0.0, 1.0], [0.0, 1.0, 4.0], [0, 1], indexing="ij"))
+    y = np.exp(0.2 * a + b)
+    measures = [Measure(name, "", "-", "", values, "parameter") for name, values in (("a", a), ("b", b), ("c", twice))]
+    shares = influence(measures, [Measure("y", "", "-", "", y, "metric")])["y"][:, 0]
+    variances = np.array([np.var(0.2 * np.array([0.0, 1.0])), np.var([0.0, 1.0, 4.0]), 0.0])
+    np.testing.assert_allclose(shares, variances / variances.sum(), atol=1e-12)
+    assert crossed([a, b, twice])
+    assert crossed([a, 2.0 * a, b, twice])
+    assert not crossed([a[1:], b[1:], twice[1:]])
+    assert not crossed([np.arange(12.0), b])
 
 
 def test_rows_without_a_finite_value_count_as_bad() -> None:

@@ -109,6 +109,11 @@ WRONG = {
         'z = [{ kind = "ramp", to = -5.0, rate = 2.0 }]',
         ["settle", "No sample is left to score"],
     ),
+    "an axis of the arm on the linear loop": (
+        "[3, 10]",
+        "[3, 10]\n'arm.cable_hz' = [0.0, 30.0]",
+        ["sweep.axes.arm.cable_hz", "the linear loop has none", "wam"],
+    ),
     "duplicate key": ('kind = "grid"', 'kind = "grid"\nkind = "grid"', ["spec.toml:13", "kind"]),
     "text for a number": ("[3, 10]", '[3, "10"]', ["sweep.axes.Hp", "a number"]),
     "a number for an axis": ("[3, 10]", "3", ["sweep.axes.Hp", "a list or a range"]),
@@ -209,7 +214,7 @@ def test_recordings_are_looked_for_beside_the_spec(
     axis: str, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in "ab":
-        rows = "".join(f"{0.01 * t},0,0,{1e-6 * t}\n" for t in range(101))
+        rows = "".join(f"{0.01 * t},0,0,{1e-5 * t}\n" for t in range(101))
         (tmp_path / f"{name}.csv").write_text(f"t,x,y,z\n{rows}")
     spec = tmp_path / "spec.toml"
     spec.write_text(

@@ -6,6 +6,8 @@ import pytest
 
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import to_bytes
+from deploy.twin.faults import parse
+from deploy.twin.peak_force import PeakForces
 from deploy.twin.residual import SETTLE, FlownResiduals
 from jaxmpc.cli import main
 from tests.deploy.conftest import trace
@@ -51,7 +53,11 @@ def test_a_run_against_the_twin_tells_the_residual_measured_and_true(fly):
 def test_a_flight_too_short_tells_none_and_a_lost_force_counts_for_the_true_one_alone():
     residuals = FlownResiduals()
     residuals.add(SETTLE - 1e-3, (0.0, 0.0, -5.0), (9.0, 9.0, 9.0), (9.0, 9.0, 9.0))
-    assert residuals.report() == []
+    (short,) = residuals.report()
+    assert short.startswith("no residual")
+    residuals.add(SETTLE, (0.0, 0.0, -5.0), (9.0, 9.0, 9.0), (9.0, 9.0, 9.0))
+    assert residuals.report() == [short], "a single sample has no peak to peak"
+    residuals = FlownResiduals()
     random = np.random.default_rng(0)
     wanted, measured, true = random.normal(size=(3, 50, 3))
     for k, rows in enumerate(zip(wanted, measured, true, strict=True)):
@@ -133,3 +139,23 @@ def test_nothing_moves_without_the_controllers_name(controller, monkeypatch, cap
     """Over a bus; python-can's virtual one has nobody on it, so even the start is refused."""
     assert main(["run", str(controller), "-i", "virtual", "-c", "nobody", "--arm", "0" * 8]) == 1
     assert "nobody answers on this bus" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        (("--lockstep", "-i", "virtual"), "--interface"),
+        (("--lockstep", "--cpu", "1"), "--cpu"),
+        (("-i", "virtual", "-c", "a", "--fault", "force:stuck@1"), "--fault"),
+        (("-i", "virtual", "-c", "a", "--stiffness", "500"), "--stiffness"),
+        (("-i", "virtual", "-c", "a", "--experiment", "nosuch.toml"), "--experiment"),
+    ],
+)
+def test_what_would_have_no_effect_is_refused(controller, words, key, capsys):
+    assert main(["run", str(controller), *words]) == 2
+    assert key in capsys.readouterr().err
+
+
+def test_a_fault_that_never_began_is_told():
+    lines = PeakForces().report([parse("force:stuck@99")], ["force:stuck@99"], True, 7.3, 15.0)
+    assert lines[-1] == "NEVER BEGAN: fault force:stuck@99; the run ended 7.3 s after the twin began"

@@ -260,11 +260,18 @@ def test_a_twin_of_an_experiment_meets_what_the_simulation_meets(tmp_path):
     pressed = [contact.press((0.0, 0.0, -0.005), NONE[:3], NONE[:3], NONE[:3], t, 0.0)[2] for t in (0.0, 0.1, 0.2)]
     assert pressed == pytest.approx([-3.0, -6.0, -9.0], rel=1e-3)
     file = str(tmp_path / "e.toml")
-    assert unlike_the_simulation(file, None) == ""
-    assert unlike_the_simulation("cough", None) == unlike_the_simulation(None, "cough") == ""
+    assert unlike_the_simulation(file, None) == []
+    assert unlike_the_simulation("cough", None) == unlike_the_simulation(None, "cough") == []
     (tmp_path / "e.toml").write_text(text.replace("repeat = true", ""))
-    assert "repeats it, faded to rest" in unlike_the_simulation(file, None)
-    assert unlike_the_simulation(file, "cough") == "", "another heart was asked for"
+    (said,) = unlike_the_simulation(file, None)
+    assert "repeats it, faded to rest" in said
+    assert unlike_the_simulation(file, "cough") == [], "another heart was asked for"
+    (said,) = unlike_the_simulation(file, "heart.csv:mm")
+    assert "repeats heart.csv:mm, faded to rest" in said
+    (tmp_path / "cables.toml").write_text("[arm]\ncable_hz = 30.0\nmass_error = 0.1\n")
+    (said,) = unlike_the_simulation(str(tmp_path / "cables.toml"), None)
+    assert said.startswith("NOT IN THE TWIN")
+    assert said.endswith(": arm.cable_hz = 30.0")
     assert twin_settings(str(tmp_path / "e.toml")).motion.repeat, "no recording is as long as any flight"
     (tmp_path / "e.toml").write_text(text.replace("viscosity = 1.5", "viscosity = -1.0"))
     with pytest.raises(InputError, match=r"tissue\.viscosity"):

@@ -13,6 +13,8 @@ COLUMNS = ("t", "x", "y", "z")
 COARSEST_RECORDING_HZ = 50.0
 LARGEST_MOTION = 0.1
 """Peak to peak beyond which a recording is taken to be in another unit [m]."""
+SMALLEST_MOTION = 1e-4
+"""What moves less is no heart, but one in another unit [m]."""
 REST, FADE = 1.0, 0.5
 """Between repetitions: rest, and time in which the motion fades at both ends [s]."""
 
@@ -129,6 +131,10 @@ def _check_recording(path: Path, t: np.ndarray, values: np.ndarray) -> None:
         row = int(np.argmax(steps > 1.5 * usual)) + 1
         gap = f"a gap of {steps[row - 1]:.4g} s before t = {t[row]:g} s"
         raise refuse(row, "t", gap, f"steps near {usual:.4g} s", "Cut the recording there or fill the gap.")
+    if 0.0 < spans.max() < SMALLEST_MOTION:
+        remedy = 'If the file is in metres, set motion.unit = "m".'
+        moved = f"{1e3 * spans.max():.3g} mm peak to peak"
+        raise refuse(0, "motion", moved, f"at least {1e3 * SMALLEST_MOTION:g} mm on an axis, or none", remedy)
     if spans.max() > LARGEST_MOTION:
         axis = int(np.argmax(spans))
         row = int(np.argmax(np.abs(values[:, axis])))
