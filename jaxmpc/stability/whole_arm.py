@@ -8,7 +8,7 @@ model of it that is cancelled creeps apart from the arm's, which forgets within 
 of the gain has no slope at rest either: the loop is that of the full gain.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -153,17 +153,17 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
 
 def _controllers(
     params: Params, stiffness: Sequence[float], T_s: float, force_filter: ForceFilter | None
-) -> Iterator[tuple[Gains, Any]]:
+) -> list[tuple[Gains, Any]]:
     """Gains and damping [1/s], tissues (stiffness,) [N/m] as leading dimension: fixed ones, then those of each."""
+    count = len(stiffness)
     with on_cpu():
         gains, _ = jax.device_get(_designed(params, T_s, force_filter=force_filter))
         if params.listening is None:
-            yield jax.tree.map(
-                lambda leaf: np.broadcast_to(leaf, (len(stiffness), *np.shape(leaf))), (gains, params.K2)
-            )
-            return
-        for known in (np.full(len(stiffness), np.nan), np.array(stiffness, float)):
-            yield jax.device_get(_held(gains, params.K2, known))
+            return [jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), (gains, params.K2))]
+        # Each number of tissues is another program.
+        known = padded(np.array(stiffness, float), 1 << max(6, (count - 1).bit_length()))
+        each = [_held(gains, params.K2, K_hat) for K_hat in (np.full(len(known), np.nan), known)]
+        return [jax.tree.map(lambda leaf: np.asarray(leaf)[:count], one) for one in each]
 
 
 def _matrices(gains: Gains, K2: Any, robots: Robot, kind: RobotStructure) -> Float[Array | np.ndarray, "robots n n"]:
