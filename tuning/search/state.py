@@ -119,9 +119,10 @@ class SearchState:
         self.path[i] = self.z
         if exact:
             # A start that left the finite numbers, or 1 kN, is as far from its goals as can be.
-            lasted = values.cells.peak_error.max(axis=(1, 2, 3)) < HIGHEST_FORCE
+            # Spectra know no peaks: what is no number there was not measured.
+            lost = values.cells.peak_error.max(axis=(1, 2, 3)) >= HIGHEST_FORCE
             largest = np.nan_to_num(values.hard.max(axis=1, initial=0.0), nan=np.inf, posinf=np.inf)
-            largest = np.where(lasted, largest, np.inf)
+            largest = np.where(lost, np.inf, largest)
             score = np.where(largest <= FEASIBLE, np.nan_to_num(values.score, nan=np.inf), np.inf)
             if score.min() < self.best.min() * (1.0 - worth):
                 self.gained = i
