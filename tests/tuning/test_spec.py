@@ -67,6 +67,12 @@ def test_the_hash_follows_every_number(tmp_path: Path) -> None:
     assert one != spec_of(tmp_path, "[params]\nQ_p = 0.6").digest
 
 
+def test_jobs_of_several_orders_are_made_and_checked(tmp_path: Path) -> None:
+    spec = spec_of(tmp_path, "[tune]\norders = [1, 2]")
+    assert [int(spec.with_order(order).params.disturbance_order) for order in spec.tune.orders] == [1, 2]
+    assert spec.with_order(2).with_order(1).tune.orders == (1, 2)
+
+
 def test_the_order_of_what_is_free_is_part_of_a_job(tmp_path: Path) -> None:
     """Vectors have it, and so do the states that a job goes on from."""
     first, second = "lam = true", "Q_p = true"

@@ -80,8 +80,6 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         for axis in self.space.axes:
             check_axis(axis, self.space.base)
         self._check_lengths()
-        for order in self.tune.orders:
-            self.with_order(order)
 
     def _check_lengths(self) -> None:
         """Refuse runs in which nothing would count, those of the proof too, which come last."""
@@ -247,4 +245,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         Raises:
             InputError: Names key, value, bound and remedy.
         """
-        return TuneSpec(**read_tables(data, folder))
+        spec = TuneSpec(**read_tables(data, folder))
+        for order in spec.tune.orders:
+            spec.with_order(order)  # what is wrong with one is told before any is tuned
+        return spec
