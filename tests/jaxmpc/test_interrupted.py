@@ -136,7 +136,7 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
 def _nothing_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is written is the matter here: trials that nobody flies, no arm in the demo, no law of JAX in a replay."""
     monkeypatch.setattr(trials, "outcomes_of", outcomes_of)
-    monkeypatch.setattr("tuning.trials.cli._margins", lambda *_: [])
+    monkeypatch.setattr("tuning.trials.linear_margins.margins_table", lambda *_: [])
     monkeypatch.setattr("jaxmpc.cli.demo.Apart", lambda *_: nullcontext())
     monkeypatch.setattr("jaxmpc.cli.demo._paper", lambda *_: None)
     monkeypatch.setattr("jaxmpc.export.replay.replay_law", lambda *_: {})
