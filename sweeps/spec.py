@@ -145,6 +145,8 @@ def _check_effect(spec: SweepSpec) -> None:
     refine = spec.refine
     changes = [] if refine is None else [stage.experiment for stage in refine.stages]
     changes += [] if refine is None or refine.rerun is None else [refine.rerun.experiment]
+    if any(axis.name == "physics" for axis in spec.space.axes):
+        return
     if {spec.experiment.physics, *(each.get("physics", "linear") for each in changes)} != {"linear"}:
         return
     for axis in spec.space.axes:

@@ -18,6 +18,7 @@ from sweeps.blocks import block_of, in_pairs, shares_signals
 from sweeps.compute import compute
 from sweeps.plan import make_plan
 from sweeps.result import Result
+from sweeps.rows import world_of
 from sweeps.spec import SweepSpec
 from sweeps.targets import UNITS, known_names, target
 
@@ -102,7 +103,7 @@ def test_structure_and_stiffness_sets_are_axes() -> None:
         "disturbance_order": [1, 2],
         "Q_p": {"values": [0.5, 2.0], "relative": True},
         "stiffness": ["soft", [500.0, 600.0]],
-        "arm.coulomb": {"values": [0.5, 1.0], "relative": True},
+        "sensor.noise": {"values": [0.5, 1.0], "relative": True},
     }
     result = computed(made(axes, stiffness_sets={"soft": [300.0, 400.0]}))
     assert len(result) == 16
@@ -110,7 +111,7 @@ def test_structure_and_stiffness_sets_are_axes() -> None:
     assert result.tissues[-1].tolist() == [500.0, 600.0]
     controller = result.controller(15)
     assert (controller.disturbance_order, float(controller.Q_p)) == (2, 1.0)
-    assert result.experiment(0).arm.coulomb == pytest.approx((1.0125, 1.125, 0.5625, 0.33))
+    assert result.experiment(0).sensor.noise == pytest.approx(0.005)
     assert result.settings(0)["stiffness"] == "soft"
     data = result.to_xarray()
     assert data["rms"].dims == ("row", "tissue", "axis")
@@ -118,6 +119,14 @@ def test_structure_and_stiffness_sets_are_axes() -> None:
     frame = result.to_pandas()
     assert frame.loc[(0, 300.0), "stiffness_set"] == "soft"
     assert agrees_with_evaluate(result, range(0, 16, 5)) > 2
+
+
+def test_a_relative_axis_of_a_vector_multiplies_each_entry() -> None:
+    axes = {"arm.coulomb": {"values": [0.5, 1.0], "relative": True}}
+    spec = made(axes, experiment={"physics": "wam"})
+    world = world_of(spec.experiment.to_dict(), spec.space.axes, (0.5,))
+    assert world["arm"]["coulomb"] == pytest.approx((1.0125, 1.125, 0.5625, 0.33))
+    made({**axes, "physics": ["linear", "wam"]})
 
 
 def test_zipped_axes_advance_together() -> None:
