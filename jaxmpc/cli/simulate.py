@@ -168,7 +168,7 @@ def _figures(
     folder: Path, experiment: "Experiment", controller: str, outcome: "Outcome", still: "Outcome"
 ) -> int | None:
     """Draw the worst of what ended well; its row, or None where nothing did."""
-    from jaxmpc.pictures.experiment_figures import experiment_figure, row_to_draw, spectrum_figure, worst_of
+    from jaxmpc.pictures.experiment_figures import drawn_of, experiment_figure, row_to_draw, spectrum_figure
     from jaxmpc.terminal.tables import show
 
     row = row_to_draw(outcome, still)
@@ -177,8 +177,7 @@ def _figures(
         return None
     path = folder / f"{experiment.name}.png"
     experiment_figure(path, experiment, controller, outcome, still, row)
-    others = f", {worst_of(experiment, outcome)}" if len(experiment.stiffness) > 1 else ""
-    print(f"figure: {path} ({experiment.stiffness[row]:g} N/m{others})")
+    print(f"figure: {path} ({experiment.stiffness[row]:g} N/m{drawn_of(outcome, still)})")
     if still is not outcome:
         path = folder / f"{experiment.name}-spectrum.png"
         found = spectrum_figure(path, experiment, controller, outcome, still, row)

@@ -26,15 +26,27 @@ SHOWN_HZ = 8.0
 """Where the spectrum ends: the paper's last peak is at 6.32 [Hz]."""
 
 
-def row_to_draw(outcome: "Outcome", still: "Outcome") -> int | None:
-    """The stiffness with the largest residual of those that ended well in both runs; None where there is none.
+def held(outcome: "Outcome", still: "Outcome") -> list[int]:
+    """Places of the stiffnesses at which both runs went on to their end.
 
-    Losing contact is no obstacle: the run went on. A run that ended otherwise has no residual; it is told in words.
+    Losing contact is no obstacle. A run that ended otherwise has no residual; it is told in words.
     """
     pairs = zip(np.asarray(outcome.status), np.asarray(still.status), strict=True)
-    ended = [row for row, pair in enumerate(pairs) if all(int(code) in USABLE for code in pair)]
+    return [row for row, pair in enumerate(pairs) if all(int(code) in USABLE for code in pair)]
+
+
+def row_to_draw(outcome: "Outcome", still: "Outcome") -> int | None:
+    """The stiffness with the largest residual of those that held; None where there is none."""
     worst = np.nan_to_num(np.asarray(outcome.metrics.rms), nan=0.0).max(axis=-1)
-    return max(ended, key=lambda row: float(worst[row]), default=None)
+    return max(held(outcome, still), key=lambda row: float(worst[row]), default=None)
+
+
+def drawn_of(outcome: "Outcome", still: "Outcome") -> str:
+    """What the stiffness that is drawn is the worst of, in words; "" of one alone."""
+    all_of_them, those = len(np.asarray(outcome.status)), len(held(outcome, still))
+    if all_of_them == 1:
+        return ""
+    return f", the worst of {those}" + ("" if those == all_of_them else f" that held, of {all_of_them}")
 
 
 def disturbance_seen(experiment: Experiment, outcome: "Outcome", still: "Outcome", row: int) -> np.ndarray:
@@ -47,17 +59,9 @@ def disturbance_seen(experiment: Experiment, outcome: "Outcome", still: "Outcome
     )
 
 
-def worst_of(experiment: Experiment, outcome: "Outcome") -> str:
-    """What the tissue that is drawn is the worst of, in words."""
-    if all(int(code) in USABLE for code in np.asarray(outcome.status)):
-        return f"the worst of {len(experiment.stiffness)}"
-    return "the worst of those that held"
-
-
-def title_of(experiment: Experiment, controller: str, row: int, notes: str, outcome: "Outcome") -> str:
+def title_of(experiment: Experiment, controller: str, row: int, drawn: str, notes: str) -> str:
     """What ran on which tissue, and below it what there is to know, in lines that the figure holds."""
-    worst = f", {worst_of(experiment, outcome)}" if len(experiment.stiffness) > 1 else ""
-    ran = f"{experiment.name}, {controller}, K_s = {experiment.stiffness[row]:g} N/m{worst}"
+    ran = f"{experiment.name}, {controller}, K_s = {experiment.stiffness[row]:g} N/m{drawn}"
     return "\n".join([*textwrap.wrap(ran, TITLE), *textwrap.wrap(notes, TITLE)])
 
 
@@ -104,7 +108,8 @@ def experiment_figure(
         lost = float(outcome.when[row]) if outcome.status[row] == Status.LOST_CONTACT else None
         notes = ["shaded: not scored"] if experiment.settle else []
         notes += [] if lost is None else [f"dotted: contact lost at {lost:.1f} s"]
-        top.set_title(title_of(experiment, controller, row, "; ".join(notes), outcome), loc="left", parse_math=False)
+        title = title_of(experiment, controller, row, drawn_of(outcome, still), "; ".join(notes))
+        top.set_title(title, loc="left", parse_math=False)
         top.set_ylabel("disturbance [N]")
         applied.set_ylabel("applied force [N]")
         for panel in (top, applied):
@@ -157,6 +162,7 @@ def spectrum_figure(
         panel.set_xlabel("frequency [Hz]")
         panel.set_ylabel("disturbance [N²/Hz]")
         notes = f"{seconds:g} s, bins of {1.0 / seconds:.2g} Hz, Hann window; peaks in Hz"
-        panel.set_title(title_of(experiment, controller, row, notes, outcome), loc="left", parse_math=False)
+        title = title_of(experiment, controller, row, drawn_of(outcome, still), notes)
+        panel.set_title(title, loc="left", parse_math=False)
         panel.legend(loc="upper right")
     return found

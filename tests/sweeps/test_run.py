@@ -197,6 +197,9 @@ def test_only_the_damaged_chunk_is_computed_again(
     else:
         data = bytearray((copy / "chunks" / "000000064-000000096.npz").read_bytes().replace(b"spec_hash", b"spec_hush"))
     victim.write_bytes(data)
+    stored.read_chunks(copy, make_plan(spec))
+    assert f"{victim.name} is left out, until the sweep is run again" in caplog.text
+    assert victim.exists()
     assert run(spec, copy, chunk=32).hash == finished[1].hash
     assert f"{victim.name} is computed again" in caplog.text
     after = chunks(copy)
