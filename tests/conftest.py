@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,6 +13,10 @@ import pytest
 MAPPINGS = 20_000
 """Pieces of memory above which compiled programs are let go, some twenty each: of 65 530 Linux gives no more, and XLA,
 which does not look, crashes or waits forever."""
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # As of a shell's background jobs: commands that a test starts would inherit it, and not hear its Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 if find_spec("jax"):
     # The user's cache is not ours to fill, nor is that of an earlier run to be trusted: what one process of this run
