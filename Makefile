@@ -32,7 +32,7 @@ test-and-oracles: $(DEV)  ## both in one run: what a test has compiled serves it
 test-oracles: $(DEV)  ## what proves physics, gradients and safety: minutes
 	@$(PYTEST) -m "oracle and not slow and not hardware"
 
-test-slow: $(DEV)  ## long statistics and whole jobs: half an hour
+test-slow: $(DEV)  ## long statistics and whole jobs: an hour or two
 	@$(PYTEST) -m "slow and not hardware"
 
 planted-faults: $(DEV)  ## plant eight faults in copies, each alone, and see which tests catch it: an hour
