@@ -145,6 +145,19 @@ def test_shared_motors_where_the_rate_forbids_the_direction(clamp):
     assert abs(last[2]) > 1.0
 
 
+def test_a_way_cut_short_begins_within_what_the_motors_can_bear(clamp):
+    """Rounding has taken what was sent last up to a unit further; the way along that limit may not begin there."""
+    within = clamp.bounds(TIGHT, T_S, IPNM)
+    last = tuple(JOINT_TO_MOTOR.T @ [0.0, -0.2, 0.05, 0.0])
+    torque, acted = clamp.clamp(tuple(JOINT_TO_MOTOR.T @ [0.0, -0.4, -0.8, 0.0]), last, within)
+    assert acted.motors
+    # cut short: motor 3 is not where it was wanted
+    motors = np.linalg.solve(JOINT_TO_MOTOR.T, torque)
+    assert abs(motors[2]) < 0.9 * within.motor3
+    assert abs(motors[1]) <= within.motor2 * (1.0 + 1e-12)
+    assert excess(sent(torque)[1], last, TIGHT) <= 0.0
+
+
 def test_what_is_not_finite_becomes_zero_never_the_last(clamp):
     run = make(clamp)
     steps = np.multiply(LIMITS.torque_rate, T_S) - CHANGE
