@@ -139,6 +139,7 @@ def test_a_run_tells_the_gain_that_its_guard_leaves() -> None:
 # Through the public function.
 
 
+@pytest.mark.oracle
 def test_table_one_of_the_paper_on_the_arm() -> None:
     """All 18 residuals within 25 %, half of them within 15 %; friction was chosen with the table in view."""
     found, stiffness = table_one(), [375.0, 810.0, 1900.0]

@@ -88,6 +88,7 @@ def test_frequency_gives_effort_and_chatter_of_the_linear_loop() -> None:
     np.testing.assert_allclose(chatter, simulated.chatter, rtol=0.03)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("rms", [effort_rms, chatter_rms])
 def test_gradients_are_those_of_central_differences(rms: Callable[..., Any]) -> None:
     check_gradient(rms, NERVOUS)

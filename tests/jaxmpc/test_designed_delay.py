@@ -196,6 +196,7 @@ def late_family() -> Params:
     return Params.from_dict({**values, "designed_delay": 2})
 
 
+@pytest.mark.oracle
 def test_a_family_shares_its_delay() -> None:
     params = late_family()
     assert all(knot.designed_delay == 2 for knot in params.knots)

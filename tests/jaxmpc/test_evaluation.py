@@ -92,6 +92,7 @@ def test_heart_motion_alone_leaves_the_known_residual() -> None:
     assert float(found.peak_to_peak[1, 2]) == pytest.approx(0.19, abs=0.01)
 
 
+@pytest.mark.oracle
 def test_unstable_controller_is_a_status_and_spares_its_neighbours() -> None:
     outcome = evaluate(Params.stack([Params(), Params.published("printed")]), SHORT)
     assert outcome.status.tolist() == [[Status.OK] * 3, [Status.OK, Status.OK, Status.UNSTABLE]]

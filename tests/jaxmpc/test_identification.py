@@ -77,6 +77,7 @@ def fly(gains: Gains) -> Callable[..., Flight]:
     return flight
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("stiffness", [375.0, 700.0, 1900.0])
 def test_it_finds_the_tissue_within_four_seconds_and_knows_how_well(fly, stiffness) -> None:
     flown = fly(lambda t: stiffness, 8.0)
@@ -131,6 +132,7 @@ def to(before: float, after: float) -> Callable[[float], float]:
     return lambda t: before + (after - before) * min(max(5.0 * (t - 12.0), 0.0), 1.0)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("before", "after"), [(810.0, 1860.0), (400.0, 1600.0), (500.0, 950.0)])
 def test_a_tissue_that_stiffens_is_noticed_and_found_again(fly, before, after) -> None:
     """Beyond twice the stiffness the loop is unstable, and the schedule goes at once; below, it is heard to ring."""
@@ -141,6 +143,7 @@ def test_a_tissue_that_stiffens_is_noticed_and_found_again(fly, before, after) -
     assert flown.stiffness[-1] == pytest.approx(after, rel=0.05)
 
 
+@pytest.mark.oracle
 def test_a_tissue_that_stiffens_slowly_is_noticed_before_the_loop_is_unstable(fly) -> None:
     """Three times in 8 s. A watch that learns the ringing as usual lets the force swing by 1.6 N here."""
     flown = fly(lambda t: 600.0 * 3.0 ** min(max((t - 10.0) / 8.0, 0.0), 1.0), 25.0)
@@ -149,6 +152,7 @@ def test_a_tissue_that_stiffens_slowly_is_noticed_before_the_loop_is_unstable(fl
     assert flown.authority[-1] == 1.0
 
 
+@pytest.mark.oracle
 def test_a_second_change_is_heard_as_the_first(fly) -> None:
     def twice(t: float) -> float:
         first, second = (min(max(5.0 * (t - begin), 0.0), 1.0) for begin in (6.0, 17.0))
@@ -162,6 +166,7 @@ def test_a_second_change_is_heard_as_the_first(fly) -> None:
     assert flown.stiffness[-1] == pytest.approx(2000.0, rel=0.05)
 
 
+@pytest.mark.oracle
 def test_a_tissue_that_softens_never_costs_the_force(fly) -> None:
     """Too low a gain is stable here, so it may go unnoticed: no more is asked than that the force stays."""
     flown = fly(to(1400.0, 450.0), 22.0)
@@ -169,11 +174,13 @@ def test_a_tissue_that_softens_never_costs_the_force(fly) -> None:
     assert np.std(flown.error[14_000:]) < 0.25
 
 
+@pytest.mark.oracle
 def test_a_tissue_that_stays_is_not_doubted(fly) -> None:
     flown = fly(lambda t: 1250.0, 24.0)
     assert np.all(flown.listening[6000:] == 0.0)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("stiffness", "push"), [(375.0, 2.3), (1250.0, 3.0)])
 def test_early_beats_in_a_row_take_the_control_for_moments_alone(fly, stiffness, push) -> None:
     flown = fly(lambda t: stiffness, 20.0, push=push)
@@ -211,6 +218,7 @@ def test_where_nothing_can_be_heard_the_fixed_gains_hold(gains, fly) -> None:
     assert np.min(flown.width[2000:]) > family.identification.band
 
 
+@pytest.mark.oracle
 def test_a_sine_that_finds_nothing_goes_off_and_tries_again(gains, fly) -> None:
     """Twelve seconds' worth, forgotten to 0.6 with a time constant of 60 s: then it is on for some 6 s in 40."""
     family = gains.schedule

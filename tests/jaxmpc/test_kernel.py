@@ -53,6 +53,7 @@ def check_equal(kernel: CellResults, scan: CellResults, rtol: float) -> None:
         np.testing.assert_array_equal(getattr(kernel, name), getattr(scan, name), err_msg=name)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("designed", [1, 2])
 def test_linear_loop_is_the_scans_to_rounding(designed: Delay, monkeypatch: pytest.MonkeyPatch) -> None:
     """In float64 nothing but the order of operations differs: 1e-9 of a force is far above that."""

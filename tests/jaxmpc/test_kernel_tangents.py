@@ -67,6 +67,7 @@ def check(found: Any, wanted: Any, tolerance: float) -> None:
         np.testing.assert_allclose(one, other, rtol=0, atol=tolerance * largest + 1e-14, err_msg=name)
 
 
+@pytest.mark.oracle
 def test_slopes_of_the_linear_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """The scan's to rounding; central differences', whose own error is the step squared; three directions in twos."""
     monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 2))
@@ -89,6 +90,7 @@ def test_slopes_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
     check(found, loop.differences(1e-5), 1e-5)
 
 
+@pytest.mark.oracle
 def test_slopes_of_the_linear_loop_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the step that a GPU takes, put together with fewer instructions."""
     monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 3))
@@ -115,6 +117,7 @@ def test_slopes_by_signals_are_refused() -> None:
         jax.eval_shape(lambda noise: jax.jvp(by_noise, (noise,), (noise,)), noise)
 
 
+@pytest.mark.oracle
 def test_directions_of_controllers_that_differ_too() -> None:
     """Where a batch of points has each its own direction nothing is shared, and nothing else changes."""
     loop = Loop(changed(LINEAR, duration=0.02, settle=0.0, reference={"z": 0.0}))

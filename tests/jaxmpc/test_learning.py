@@ -149,6 +149,7 @@ def test_what_was_learned_is_not_used_against_an_error_of_another_size() -> None
         assert abs(added) <= 0.05 * used
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("hertz", [0.6, 1.265, 2.6])
 def test_the_response_of_the_model_is_that_of_python_control(hertz: float) -> None:
     model, state = resonators(2.0 * np.pi * hertz)
@@ -165,6 +166,7 @@ def test_the_response_of_the_model_is_that_of_python_control(hertz: float) -> No
     np.testing.assert_allclose(-np.asarray(found), expected, rtol=1e-8)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("late", [1, 2])
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_loop_that_learns_has_its_poles_where_its_response_says(late: int, order: int) -> None:
@@ -200,6 +202,7 @@ def test_the_loop_that_learns_has_its_poles_where_its_response_says(late: int, o
     np.testing.assert_allclose(characteristic(with_it) / characteristic(without) / own, ratio, rtol=1e-6)
 
 
+@pytest.mark.oracle
 def test_margins_that_learn_are_the_worst_of_a_dense_search() -> None:
     """Every rate, and 0.1 Hz between angles: a resonance is 0.2 Hz wide and more."""
     path = Experiment.published("family-wam").loop_path()
@@ -271,6 +274,7 @@ def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
     assert np.max(found.spectral_radius) < 1.0
 
 
+@pytest.mark.oracle
 def test_on_the_arm_it_takes_a_third_of_what_a_regular_heart_leaves() -> None:
     """20 s after 12 s; chatter stays."""
     base = Experiment.published("family-wam")

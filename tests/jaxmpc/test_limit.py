@@ -166,6 +166,7 @@ def test_a_study_with_other_models_found_the_same(arm: Experiment, on_arm: Spect
         assert worst == pytest.approx(studied, rel=0.05)
 
 
+@pytest.mark.oracle
 def test_a_band_holds_what_it_promises_and_costs(on_arm: Spectrum) -> None:
     path = loop_path()
     narrow, wide = (least(on_arm, path, 810.0, "z", Demands(band=band)) for band in (0.0, 0.15))
@@ -178,6 +179,7 @@ def test_a_band_holds_what_it_promises_and_costs(on_arm: Spectrum) -> None:
         assert np.abs(np.squeeze(answers.complex)).max() <= 2.0 * 1.005
 
 
+@pytest.mark.oracle
 def test_tighter_bounds_leave_more(on_arm: Spectrum) -> None:
     path = loop_path()
     order = [Demands(chatter=np.inf), Demands(chatter=6.0), Demands(), Demands(M_s=1.5), Demands(M_s=1.5, chatter=0.6)]
@@ -186,6 +188,7 @@ def test_tighter_bounds_leave_more(on_arm: Spectrum) -> None:
     assert residuals[-1] > 1.2 * residuals[0]
 
 
+@pytest.mark.oracle
 def test_a_damping_is_held_at_both_cuts(on_arm: Spectrum) -> None:
     found = least(on_arm, loop_path(), 810.0, "z", damping=60.0)
     contact, theta = contact_of(810.0, 60.0, loop_path()), np.linspace(0.01, np.pi, 4000)
@@ -195,6 +198,7 @@ def test_a_damping_is_held_at_both_cuts(on_arm: Spectrum) -> None:
     assert found.reached.M_s <= 2.0 * 1.005
 
 
+@pytest.mark.oracle
 def test_a_controller_is_judged_as_everywhere_and_leaves_more(arm: Experiment, on_arm: Spectrum) -> None:
     path, cautious = arm.loop_path(), Params.published("cautious")
     gains = design(cautious)

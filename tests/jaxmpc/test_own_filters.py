@@ -65,6 +65,7 @@ def test_the_closed_form_answers_the_riccati_equation(ratio: float) -> None:
         np.testing.assert_allclose(poles.real, -np.abs(poles.imag), rtol=2e-2)
 
 
+@pytest.mark.oracle
 def test_margins_are_those_of_an_experiment_with_the_same_filters() -> None:
     expected = margins(CAUTIOUS, TISSUES, path=OTHER.loop_path())
     same(margins(OWN, TISSUES, path=PLAIN.loop_path()), expected)
@@ -103,6 +104,7 @@ def filtered(x: Any) -> Params:
 LOGARITHMS = np.log([250.0, 700.0])
 
 
+@pytest.mark.oracle
 def test_the_peak_sensitivity_has_slopes() -> None:
     gradient, expected = slopes(jax.jit(lambda x: margins(filtered(x), 810.0).M_s), LOGARITHMS)
     assert (np.abs(expected) > 1e-3).all()
@@ -118,6 +120,7 @@ def test_all_margins_have_slopes_in_both_modes() -> None:
     np.testing.assert_allclose(jax.jacfwd(judged)(LOGARITHMS), gradient, rtol=1e-8)
 
 
+@pytest.mark.oracle
 def test_residual_and_chatter_of_a_run_have_slopes() -> None:
     at_810 = msgspec.structs.replace(PLAIN, stiffness=(810.0,), duration=0.4)
 
@@ -140,6 +143,7 @@ def test_other_numbers_compile_nothing() -> None:
     assert programs() == before
 
 
+@pytest.mark.oracle
 def test_a_family_has_one_filter_for_all_its_gains() -> None:
     own = {"velocity_cutoff": 320.0, "force_cutoff": OWN.force_cutoff}
     family = dataclasses.replace(Params.published("family"), **own)

@@ -64,6 +64,7 @@ def cut_margins(params: Params, K_s: Any, delay: Any, ideal: bool, cut: Any) -> 
     return loop_margins(loop, loop, T_S)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES, *LATE])
 def test_the_cut_at_the_force_is_the_cut_at_v(params: Params, K_s: float, delay: int, ideal: bool) -> None:
     """What comes back of a force added to the measured one, from one sample of law and world, differentiated."""
@@ -254,6 +255,7 @@ def test_filter_of_the_force_is_that_of_python_control() -> None:
     np.testing.assert_allclose(found, system(np.exp(1j * theta)), rtol=1e-9)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("K_s", [375.0, 1900.0])
 def test_margins_with_a_filter_of_the_force_are_the_gains_that_the_law_bears(K_s: float) -> None:
     """Cut at a, the gain of both hold integrals is that of the whole loop; the matrix is the running law's own."""
@@ -326,6 +328,7 @@ def test_impossible_tissue_or_delay_is_refused(stiffness: float, delay: int) -> 
         margins(Params(), stiffness, delay=delay)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("ideal", [False, True])
 def test_loops_of_any_number_as_they_run_and_ideal_are_judged_by_one_program(ideal: bool) -> None:
     """One for just these loops says the same of each; they are one more than a block holds, of two controllers."""

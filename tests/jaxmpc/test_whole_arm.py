@@ -38,6 +38,7 @@ def world_of(given: Experiment) -> tuple[RobotStructure, Robot]:
     return structure_of(given.arm, given.tissue), robot_on_its_tissue(given)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     ("params", "delay", "K2", "tolerance"),
     [

@@ -23,6 +23,7 @@ SLOW_FILTERS = {"velocity_lowpass": 300.0, "sensor": {"lowpass_hz": 120.0}}
 FORCE_FILTER = {"sensor": {"kalman": 20.0}}
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("filters", [{}, SLOW_FILTERS, FORCE_FILTER], ids=["default", "slower", "force filter"])
 def test_everybody_judges_one_loop(
     small: Callable[..., dict[str, Any]], tmp_path: Path, filters: dict[str, Any]

@@ -287,6 +287,7 @@ def test_what_limits_it_in_words(result: TuneResult, study: Study) -> None:
     assert "friction 40.0 mN (64 % of its power), noise 10.0 mN (4 % of its power)" in parts
 
 
+@pytest.mark.oracle
 def test_the_limit_of_the_same_goals_stands_beside_it(result: TuneResult) -> None:
     section = limit_section(replace(result, params=Params.published("cautious")))
     rows = [cell for table in section.tables for cell in table.rows]

@@ -103,6 +103,7 @@ def test_with_friction_compensation_preview_and_higher_order():
     assert max(torque for _, torque in found) <= TOLERANCE
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("designed", [1, 2])
 def test_a_guarded_controller_whose_force_swings(designed):
     gains = design(Params(guarded=True, designed_delay=designed))

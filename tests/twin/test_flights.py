@@ -70,6 +70,7 @@ def test_a_lost_reply_now_and_then_is_bridged(text):
     np.testing.assert_allclose(lossy.residual(5.0), clean.residual(5.0), rtol=0.05)
 
 
+@pytest.mark.oracle
 def test_two_lost_replies_in_a_row_are_bridged_and_three_are_not(plain):
     bridged = fly(plain, f"J2:lost=2@{FAULT_AT}", seconds=3.0, motion=Motion(start=2.5), gap=BEFORE)
     assert bridged.reason is Reason.FINISHED
@@ -108,6 +109,7 @@ def check_sensor_fault(artifact, word, **settings):
     assert flight.push() <= clean.push() + 0.5
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("word", ["off", "stuck"])
 def test_a_dead_or_mad_force_sensor_ends_contact_gently(cautious, word):
     check_sensor_fault(cautious, word)

@@ -38,6 +38,7 @@ def check(found: Flown, most: float = LIMIT):
     assert found.reason not in (Reason.FINISHED, Reason.NONE)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     ("lie", "tissue", "stiffness", "phase"),
     [
@@ -70,6 +71,7 @@ def test_a_lie_that_sets_in_while_the_tip_presses_is_stopped(cautious, lie, tiss
         check(flown(cautious, lie, tissue, stiffness, phase), KNOWN.get(lie, LIMIT))
 
 
+@pytest.mark.oracle
 def test_without_the_motors_word_a_fifth_presses_beyond_the_limit(cautious, monkeypatch):
     """The check can fail: what it is there for is what happens without it."""
     monkeypatch.setattr(session, "ForceEstimate", lambda *arguments: None)
@@ -78,6 +80,7 @@ def test_without_the_motors_word_a_fifth_presses_beyond_the_limit(cautious, monk
     assert found.reason is Reason.FINISHED
 
 
+@pytest.mark.oracle
 def test_a_loop_that_swings_is_ended_before_it_presses_beyond_the_limit(cautious, monkeypatch):
     """Lost forces on tissue that is stiffer under load than promised; without the check it is 22 N."""
     swinging = ("force:intermittent=0.1@4.522",), 810.0, "fung", -10.0
@@ -98,6 +101,7 @@ def test_an_approach_that_no_sensor_tells_of_is_ended_by_the_motors(cautious, mo
     assert found.push <= LIMIT
 
 
+@pytest.mark.oracle
 def test_half_the_force_is_not_seen_without_the_friction_told_apart(cautious, monkeypatch):
     """The check can fail: 2 N beyond the reading are less than friction's uncertainty."""
     monkeypatch.setattr(force_balance, "HIDDEN", 100.0)
@@ -106,6 +110,7 @@ def test_half_the_force_is_not_seen_without_the_friction_told_apart(cautious, mo
     assert found.push > 1.7 * 2.0
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("settings", [{}, {"coulomb": (4.0, 4.5, 2.2, 1.3), "mass_scale": 1.1}, {"delay": 2}])
 def test_a_healthy_sensor_is_believed_whatever_the_arm_and_the_rhythm(cautious, settings):
     found = fly(cautious, (), 810.0, "standard-linear", -5.0, rhythm="bigeminy", **settings)
@@ -120,6 +125,7 @@ def test_a_tissue_that_is_met_before_the_air_is_known(cautious, monkeypatch):
     check(found)
 
 
+@pytest.mark.oracle
 def test_travel_times_the_promised_stiffness_bounds_what_the_motors_were_not_asked(cautious, monkeypatch):
     """On the softest promised tissue; without the motors' word, and with a sensor that reads a tenth of the force."""
     monkeypatch.setattr(session, "ForceEstimate", lambda *arguments: None)

@@ -52,6 +52,7 @@ def test_on_any_stiffness_they_are_those_of_the_public_function(frozen):
         assert again["M_s"] == pytest.approx(float(design.M_s), rel=1e-3)
 
 
+@pytest.mark.oracle
 def test_a_frozen_controller_has_the_margins_that_it_declares(cautious):
     assert differences(cautious) == []
     worse = [row | {"M_s": row["M_s"] - 0.05} for row in cautious.margins]

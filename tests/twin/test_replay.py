@@ -115,6 +115,7 @@ def test_a_flight_is_replayed_by_the_runtime_to_the_last_bit(other_flight):
     assert rows["qd"].samples == 1500 - 301
 
 
+@pytest.mark.oracle
 def test_both_programs_agree_with_the_flight(other_flight, capsys):
     assert replay(other_flight / "flight.npz", "--artifact", other_flight / "controller.npz") == 0
     out = capsys.readouterr().out

@@ -103,6 +103,7 @@ def survivors(name, chosen):
     ]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", TESTS)
 def test_the_right_module_passes_and_a_sample_of_mutants_does_not(name):
     right = import_module(f"deploy.safety.{name}")
