@@ -10,6 +10,7 @@ from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
 from jaxmpc.synthesis.params import Params
+from jaxmpc.world.tissue import LAWS
 from sweeps.goal import MEASURED, SweepGoal, columns_kept
 from sweeps.reading import read_space, stiffness_set
 from sweeps.space import SweepSpace
@@ -137,22 +138,32 @@ def _check_filters(space: SweepSpace, params: Params) -> None:
 
 
 def _check_effect(spec: SweepSpec) -> None:
-    """Refuse what only the arm has, where no run is on it.
+    """Refuse what no run depends on, neither one of the sweep nor one of its refinement.
 
     Raises:
         InputError: Such an axis is swept.
     """
-    refine = spec.refine
+    refine, swept = spec.refine, {axis.name for axis in spec.space.axes}
     changes = [] if refine is None else [stage.experiment for stage in refine.stages]
     changes += [] if refine is None or refine.rerun is None else [refine.rerun.experiment]
-    if any(axis.name == "physics" for axis in spec.space.axes):
-        return
-    if {spec.experiment.physics, *(each.get("physics", "linear") for each in changes)} != {"linear"}:
-        return
-    for axis in spec.space.axes:
-        if axis.name.startswith(("arm.", "tissue.")):
-            bound = "swept where runs are on the arm: the linear loop has none"
-            raise InputError(f"sweep.axes.{axis.name}", "swept", bound, 'Set experiment.physics = "wam".')
+    met = [spec.experiment, *(spec.on(each).experiment for each in changes)]
+    linear = "physics" not in swept and all(each.physics == "linear" for each in met)
+    for name in sorted(swept):
+        if linear and name.startswith(("arm.", "tissue.")):
+            raise _idle(name, "where runs are on the arm: the linear loop has none", 'Set experiment.physics = "wam".')
+        laws = [law.name for law in LAWS.values() if name in [f"tissue.{each.name}" for each in law.parameters]]
+        if laws and "tissue.kind" not in swept and not any(each.tissue.kind in laws for each in met):
+            remedy = f'Set experiment.tissue.kind = "{laws[0]}".'
+            raise _idle(name, f"where the tissue is of the law {' or '.join(laws)}", remedy)
+        if name == "motion.seed" and not swept & {"motion.kind", "motion.phases"}:
+            if not any(each.motion.drawn for each in met):
+                remedy = 'Set motion.kind = "rhythm" or motion.phases = "random".'
+                raise _idle(name, "where something of the heart's motion is drawn", remedy)
+
+
+def _idle(name: str, where: str, remedy: str) -> InputError:
+    """The error of an axis that has no effect."""
+    return InputError(f"sweep.axes.{name}", "swept", f"swept {where}", remedy)
 
 
 def _refine(data: Any, spec: SweepSpec) -> RefineTable:

@@ -92,13 +92,18 @@ def check(args: argparse.Namespace) -> None:
     Raises:
         InputError: An argument is out of range, or of no effect in such a run.
     """
+    from deploy.bus.interface import check_flags
+
     idle, remedy = OF_THE_TWIN, "`jaxmpc twin` takes it, where that is on the bus; --lockstep flies against one here."
     if args.lockstep:
         idle, remedy = OF_THE_BUS, "Leave it out: a twin in this process has neither a bus nor a time of its own."
     for name, nothing in idle.items():
         if (given := getattr(args, name, nothing)) != nothing:
             bound = "left out with --lockstep" if args.lockstep else "given with --lockstep"
-            raise InputError(f"--{name}", given, bound, remedy)
+            said = " ".join(given) if isinstance(given, list) else given
+            raise InputError(f"--{name}", said, bound, remedy)
+    if not args.lockstep:
+        check_flags(args)
     for name, (low, high) in CONTACTS.items():
         if not low <= getattr(args, name) <= high:
             bound = f"in [{low:g}, {high:g}]"

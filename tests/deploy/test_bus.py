@@ -11,6 +11,7 @@ from deploy.bus.bus import SENDS_AFTER_ERROR, Bus
 from deploy.bus.interface import add_arguments, open_bus
 from deploy.errors import BusError
 from deploy.puck.frame import Frame
+from jaxmpc.files.errors import InputError
 
 POSITION = Frame(0x423, b"\x00\x00\x02")
 MS = 1_000_000
@@ -288,16 +289,26 @@ def test_the_flags_are_python_cans():
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (("--interface", "virtual", "--channel", "can0; rm"), "no name of a CAN channel"),
+        (("--interface", "virtual", "--channel", "can0; rm"), "the name of a CAN channel"),
         ((), "or fly against the twin, --lockstep"),
-        (("--interface", "virtual", "--channel", "a", "--fd"), "leave --fd out"),
+        (("--interface", "virtual", "--channel", "a", "--fd"), "--fd = given: must be left out"),
         (("--interface", "virtual", "--channel", "a", "--bitrate", "500000"), "1 Mbit/s"),
-        (("--interface", "socketcan", "--channel", "nosuchcan"), "check --interface and --channel"),
     ],
 )
-def test_what_cannot_be_opened_is_one_sentence(flags, says):
-    with pytest.raises(BusError, match=says) as raised:
+def test_flags_of_no_bus_of_an_arm_are_wrong_input(flags, says):
+    with pytest.raises(InputError, match=says):
         open_bus(parsed(*flags))
+
+
+def test_a_bus_may_be_named_in_the_environment(monkeypatch):
+    monkeypatch.setenv("CAN_INTERFACE", "virtual")
+    monkeypatch.setenv("CAN_CHANNEL", "of-the-environment")
+    open_bus(parsed()).close()
+
+
+def test_what_cannot_be_opened_is_one_sentence():
+    with pytest.raises(BusError, match="check --interface and --channel") as raised:
+        open_bus(parsed("--interface", "socketcan", "--channel", "nosuchcan"))
     assert "\n" not in str(raised.value)
 
 

@@ -289,6 +289,43 @@ def test_worlds_that_cannot_be_are_refused(axes: dict[str, object], words: list[
     assert [word for word in words if word not in str(caught.value)] == []
 
 
+@pytest.mark.parametrize(
+    ("experiment", "axes", "words"),
+    [
+        ({}, ["motion.seed"], ["sweep.axes.motion.seed", "is drawn", 'motion.phases = "random"']),
+        ({"motion": {"phases": "random"}}, ["motion.seed"], None),
+        ({"motion": {"kind": "rhythm"}}, ["motion.seed"], None),
+        ({"motion": {"kind": "none", "phases": "random"}}, ["motion.seed"], ["sweep.axes.motion.seed"]),
+        ({}, ["motion.phases", "motion.seed"], None),
+        ({"published": "table-1-wam"}, ["tissue.viscosity"], ["where the tissue is of the law kelvin-voigt"]),
+        ({"published": "table-1-wam", "tissue": {"kind": "kelvin-voigt"}}, ["tissue.viscosity"], None),
+        ({"published": "table-1-wam"}, ["tissue.kind", "tissue.viscosity"], None),
+    ],
+)
+def test_an_axis_of_no_effect_is_refused(
+    experiment: dict[str, object], axes: list[str], words: list[str] | None
+) -> None:
+    values = {
+        "motion.seed": [1, 2],
+        "motion.phases": ["table", "random"],
+        "tissue.viscosity": [1.0, 2.0],
+        "tissue.kind": ["elastic", "kelvin-voigt"],
+    }
+    given = {"experiment": experiment, "sweep": {"kind": "grid", "axes": {name: values[name] for name in axes}}}
+    if words is None:
+        SweepSpec.from_dict(given)
+        return
+    with pytest.raises(InputError) as caught:
+        SweepSpec.from_dict(given)
+    assert [word for word in words if word not in str(caught.value)] == []
+
+
+def test_an_axis_of_which_the_rerun_alone_depends_is_taken() -> None:
+    motion = {"motion": {"kind": "rhythm"}}
+    sweep = {"kind": "grid", "axes": {"motion.seed": [1, 2]}}
+    SweepSpec.from_dict({"sweep": sweep, "refine": {"method": "none", "rerun": {"experiment": motion}}})
+
+
 GALLERY = sorted((Path(__file__).parents[2] / "docs" / "gallery").glob("*.toml"))
 
 

@@ -111,6 +111,7 @@ WRONG = {
     "frozen diagonal": ('[tune]\ndiagonals = ["delta"]', "tune.diagonals", "free", 2),
     "diagonal as one number": ("[params]\nlam = [0.1, 0.2]", "params.lam", "one number", 2),
     "ideal in words": ('[goals]\nideal = "yes"', "goals.ideal", "true or false", 2),
+    "compensation in words": ("[baseline]\ncompensation = true", "baseline.compensation", "in [0, 2]", 2),
 }
 
 

@@ -141,12 +141,19 @@ def test_nothing_moves_without_the_controllers_name(controller, monkeypatch, cap
     assert "nobody answers on this bus" in capsys.readouterr().err
 
 
+def test_without_a_bus_nothing_begins(controller, capsys):
+    assert main(["run", str(controller), "--arm", "0" * 8]) == 2
+    said = capsys.readouterr()
+    assert "--interface = left out: must be given" in said.err
+    assert "sha256" not in said.out
+
+
 @pytest.mark.parametrize(
     ("words", "key"),
     [
         (("--lockstep", "-i", "virtual"), "--interface"),
         (("--lockstep", "--cpu", "1"), "--cpu"),
-        (("-i", "virtual", "-c", "a", "--fault", "force:stuck@1"), "--fault"),
+        (("-i", "virtual", "-c", "a", "--fault", "force:stuck@1"), "--fault = force:stuck@1:"),
         (("-i", "virtual", "-c", "a", "--stiffness", "500"), "--stiffness"),
         (("-i", "virtual", "-c", "a", "--experiment", "nosuch.toml"), "--experiment"),
     ],

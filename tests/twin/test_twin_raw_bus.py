@@ -174,15 +174,15 @@ def test_the_verb_takes_python_cans_flags(capsys):
 
 
 @pytest.mark.parametrize(
-    ("flags", "says"),
+    ("flags", "code", "says"),
     [
-        (["-i", "socketcan", "-c", "nosuchcan"], "cannot be opened"),
-        (["-i", "virtual", "-c", "x", "--fd"], "leave --fd out"),
-        (["-i", "virtual", "-c", "x; y"], "no name of a CAN channel"),
+        (["-i", "socketcan", "-c", "nosuchcan"], 1, "cannot be opened"),
+        (["-i", "virtual", "-c", "x", "--fd"], 2, "--fd = given: must be left out"),
+        (["-i", "virtual", "-c", "x; y"], 2, "the name of a CAN channel"),
     ],
 )
-def test_a_bus_that_cannot_be_is_one_sentence(capsys, flags, says):
-    assert main(["twin", *flags]) == 1
+def test_a_bus_that_cannot_be_is_one_sentence(capsys, flags, code, says):
+    assert main(["twin", *flags]) == code
     said = capsys.readouterr().err
     assert says in said
     assert "Traceback" not in said

@@ -45,7 +45,7 @@ def read_tables(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         raise InputError("goals.ideal", ideal, "true or false", "True judges the paper's ideal damping.")
     baseline = dict(data.get("baseline", {}))
     share = baseline.pop("compensation", None)
-    if share is not None and not (isinstance(share, int | float) and 0.0 <= share <= 2.0):
+    if share is not None and (isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share <= 2):
         raise InputError("baseline.compensation", share, "in [0, 2]", "0 compensates no friction.")
     soft = goals.pop("soft", SOFT)
     if not isinstance(soft, dict) or not soft:

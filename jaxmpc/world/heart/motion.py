@@ -46,6 +46,11 @@ class Motion(RhythmSettings, frozen=True, forbid_unknown_fields=True):
                 remedy = 'Set motion.kind = "rhythm" or remove this key.'
                 raise InputError(f"motion.{name}", value, "given for a rhythm only", remedy)
 
+    @property
+    def drawn(self) -> bool:
+        """Whether its seed draws anything."""
+        return self.kind == "rhythm" or (self.kind == "harmonics" and self.phases == "random")
+
 
 _OF_RHYTHMS = {field.name: field.default for field in msgspec.structs.fields(RhythmSettings) if field.name != "seed"}
 """Keys of a rhythm alone, and their defaults."""
