@@ -162,6 +162,7 @@ def _run(
     from sweeps.run import SweepStoppedError
     from sweeps.run import run as run_plain
     from sweeps.show.best_rows import chance
+    from sweeps.show.in_the_way import in_the_way
 
     began, told = time.monotonic(), partial(print, flush=True)
     try:
@@ -187,7 +188,8 @@ def _run(
         return 1
     print(f"{len(result)} rows after {time.monotonic() - began:.1f} s")
     print(counts(result))
-    print("".join(f"{line}\n" for line in chance(result)), end="")
+    notes = [*(in_the_way(result, result.goal) if result.complete else ()), *chance(result)]
+    print("".join(f"{line}\n" for line in notes), end="")
     if result.complete:
         print(f"result {result.hash}\nnext: jaxmpc sweep report {folder}")
         return 0

@@ -3,10 +3,10 @@
 from typing import Any
 
 from jaxmpc.quantities import MARGINS, METRICS
-from jaxmpc.status import Status
 from jaxmpc.terminal import layout
 from sweeps.goal import SweepGoal
 from sweeps.result import Result
+from sweeps.show.in_the_way import in_the_way
 
 RESIDUALS = ("rms", "true_rms")
 """As the sensor reads it, which is what ranks, and of the force itself."""
@@ -22,9 +22,8 @@ def table(result: Result, n: int = 10, max_M_s: float | None = None) -> str:
     """
     head, lines = rendered(result, n, max_M_s)
     if not lines:
-        fine = int((result["status"] == Status.OK).all(axis=1).sum())
-        wanted = goal_of(result, max_M_s).text
-        return f"no row: {wanted}, at every stiffness; {fine} of {len(result)} are OK at every one"
+        goal = goal_of(result, max_M_s)
+        return "\n".join([f"no row: {goal.text}, at every stiffness", *in_the_way(result, goal)])
     return f"{caption(result, max_M_s)}\n\n{layout.table(head, lines)}"
 
 

@@ -52,6 +52,7 @@ def show(verb: str, args: argparse.Namespace) -> int:
         raise InputError("-n", n, "at least 1", "Ask for one row or more.")
     from sweeps.result import Result
     from sweeps.show.best_rows import chance, goal_of, progress
+    from sweeps.show.in_the_way import in_the_way
 
     folder = Path(args.what[1])
     result = Result.load(folder)
@@ -73,7 +74,8 @@ def show(verb: str, args: argparse.Namespace) -> int:
     elif verb == "best":
         shown = result.best(n, limit)
         print(rows_table(shown, f"best of {len(result)} rows: {goal_of(result, limit).text}"))
-        print("".join(f"{line}\n" for line in chance(result, limit)), end="")
+        notes = [*in_the_way(result, goal_of(result, limit)), *chance(result, limit)]
+        print("".join(f"{line}\n" for line in notes), end="")
     else:
         goals = tuple(name.strip() for name in args.goals.split(",")) if args.goals else ("rms", "M_s")
         shown = result.pareto(*goals)

@@ -13,6 +13,7 @@ from sweeps.result import Result
 from sweeps.show.best_rows import caption, chance, goal_of, progress, rendered
 from sweeps.show.candidates import candidates
 from sweeps.show.curves import details, note, that_matter, world_words
+from sweeps.show.in_the_way import in_the_way
 
 MOST_ROWS = 100_000
 """Rows of a page; of a larger sweep the front, the best and an even sample of the others."""
@@ -88,7 +89,8 @@ def _again(result: Result, wide: Result, max_M_s: float | None) -> Section:
 
 
 def _told(result: Result, max_M_s: float | None) -> list[str]:
-    return [f"{line[0].upper()}{line[1:]}." for line in chance(result, max_M_s)]
+    lines = [*in_the_way(result, goal_of(result, max_M_s)), *chance(result, max_M_s)]
+    return [f"{line[0].upper()}{line[1:]}." for line in lines]
 
 
 def _sample(result: Result, max_M_s: float | None) -> Result:

@@ -41,16 +41,14 @@ def joints_peak(params: Params, experiment: Experiment, K_s: float, delay: int) 
     flow = np.zeros((12, 12))
     flow[:4, 4:8], flow[4:8, :4], flow[4:8, 8:] = np.eye(4), -np.linalg.solve(M, K), np.linalg.inv(M)
     held = scipy.linalg.expm(flow * T_S)
-    gains, worst = design(params), 0.0
-    for frequency in np.geomspace(1.0, 400.0, 600):
-        q = np.exp(-2j * np.pi * frequency * T_S)
+    delays, worst = np.exp(-2j * np.pi * np.geomspace(1.0, 400.0, 600) * T_S), 0.0
+    for q, C in zip(delays, np.asarray(controller_response(design(params), jnp.asarray(delays))), strict=True):
         angles, speeds = np.split(np.linalg.solve(np.eye(8) / q - held[:8, :8], held[:8, 8:]) * q**delay, 2)
         low = [(1.0 - np.exp(-cut * T_S)) / (1.0 - np.exp(-cut * T_S) * q) for cut in (180.0, 1000.0 * np.pi)]
         rates, force = low[0] * speeds, low[1] * K_s * J @ angles
         resting = -20.0 * angles - 9.0 * rates
         inner = M @ resting + J.T @ (force - inertia @ J @ resting)
         wanted = np.linalg.solve(np.eye(4) - inner, J.T @ inertia)
-        C = complex(np.asarray(controller_response(gains, jnp.asarray(q))))
         F, D = -C * force @ wanted, float(params.K2) * J @ rates @ wanted
         for loop in (F + D, F @ np.linalg.inv(np.eye(3) + D)):
             worst = max(worst, float(np.abs(1.0 / np.linalg.eigvals(np.eye(3) + loop)).max()))

@@ -17,6 +17,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
+from sweeps.goal import SweepGoal
 from sweeps.judged import Point
 from sweeps.plan import Plan
 from sweeps.result import Result
@@ -24,6 +25,7 @@ from sweeps.sensitivity import sensitivity
 from sweeps.show.best_rows import table
 from sweeps.show.candidates import candidates, template
 from sweeps.show.cli import TAKES
+from sweeps.show.in_the_way import in_the_way
 from sweeps.show.report import sweep_report
 from sweeps.store import stage_folders
 
@@ -37,6 +39,25 @@ def made_up(points: np.ndarray, status: np.ndarray, plan: Plan) -> Result:
     rms, M_s = np.zeros((n, 2, 3), np.float32), np.ones((n, 2))
     rms[:, 0, 2], M_s[:, 0] = points.T
     return Result(plan, {"row": np.arange(n), "status": status, "rms": rms, "M_s": M_s})
+
+
+def test_what_stands_in_the_way_is_told_where_no_row_is_good(finished: Finished) -> None:
+    points = np.array([[0.1, 2.5], [0.2, 1.9], [0.3, 2.2], [0.01, 1.5]])
+    status = np.full((4, 2), Status.OK)
+    status[3, 1] = Status.DIVERGED
+    made = made_up(points, status, finished[1].plan)
+    assert in_the_way(made, SweepGoal()) == [], "row 1 is good"
+    goal = SweepGoal(constraints={"M_s": 2.0, "rms": 0.15})
+    assert in_the_way(made, goal) == [
+        "3 of 4 rows are OK at every stiffness; of these 1 keeps M_s ≤ 2 (best 1.9, row 1), "
+        "1 keeps rms ≤ 0.15 (best 0.1, row 0)",
+        "nearest is row 0, which misses M_s with 2.5",
+    ]
+    assert "\n".join(["no row: " + goal.text + ", at every stiffness", *in_the_way(made, goal)]) == table(
+        replace(made, plan=replace(made.plan, goal=goal))
+    )
+    lost = made_up(points, np.full((4, 2), Status.UNSTABLE), finished[1].plan)
+    assert in_the_way(lost, goal) == ["0 of 4 rows are OK at every stiffness"]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -267,4 +288,4 @@ def test_a_report_stands_a_sweep_in_which_everything_failed(finished: Finished, 
     failed = replace(result, columns=columns, baseline=Point(np.inf, np.inf))
     sweep_report(failed, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size > 500_000
-    assert "0 of 120 are OK" in table(failed)
+    assert "0 of 120 rows are OK" in table(failed)
