@@ -57,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("SPEC", path, "a TOML file or a job that comes with the program", nearest(f"{path}", [*jobs]))
     args.out = args.out or Path("runs") / plain_name("the job's name", path.stem)
     check_folder("-o", args.out)
+    if (args.out / "manifest.json").exists():
+        raise InputError("-o", args.out, "a folder without a sweep", "Choose another with -o.")
     spec = TuneSpec.from_toml(path)
     named(program_spec(spec.experiment), args.engine, "reverse")
     spec = replace(spec, engine=args.engine)
@@ -65,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
         solver()
     print(f"{args.spec}: {spec.tune.starts} starts, {spec.tune.steps} steps, results to {args.out}")
     print(_resolved(spec))
+    before = _files(args.out)
     result = tune(spec, args.out, progress=not args.quiet)
     print(report(result, columns_of_output()))
     if args.limit and result.feasible:
@@ -73,11 +76,17 @@ def run(args: argparse.Namespace) -> int:
         write_atomic(args.out / "limit.txt", section_text(section).encode())
     if spec.pareto and result.met:
         pareto(result.spec, args.out, not args.quiet, result.state.leader_z)
-    print("\n".join(f"wrote {path}" for path in sorted(args.out.iterdir()) if not path.name.startswith(".")))
+    print("\n".join(f"wrote {path}" for path, changed in _files(args.out).items() if changed != before.get(path)))
     if not result.met:
         print(f"jaxmpc tune: {result.unmet()}; no params.toml was written", file=sys.stderr)
         return 1
     return 0
+
+
+def _files(folder: Path) -> dict[Path, int]:
+    """When each file of a folder was last changed, by its path [ns]; none where there is no folder."""
+    found = sorted(folder.iterdir()) if folder.is_dir() else []
+    return {path: path.stat().st_mtime_ns for path in found if path.is_file() and not path.name.startswith(".")}
 
 
 def _resolved(spec: "TuneSpec") -> str:

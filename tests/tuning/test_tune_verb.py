@@ -81,10 +81,13 @@ def test_goals_that_nobody_meets_end_with_a_sentence(
     stale = tmp_path / "out" / "params.toml"
     stale.parent.mkdir()
     stale.write_text("[params]\n")
+    (stale.parent / "notes.txt").write_text("of somebody else")
     assert verb(tmp_path, small(goals={"M_s": 1.01}, tune={"steps": 3})) == 1
-    said = capsys.readouterr().err
-    assert "M_s ≤ 1.01 is missed by" in said
-    assert "N/m" in said
+    said = capsys.readouterr()
+    assert "M_s ≤ 1.01 is missed by" in said.err
+    assert "N/m" in said.err
+    assert f"wrote {stale.parent / 'report.html'}" in said.out
+    assert "notes.txt" not in said.out
     assert not (tmp_path / "out" / "params.toml").exists()
 
 
@@ -93,6 +96,16 @@ def test_a_wrong_spec_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixtu
     said = capsys.readouterr().err
     assert f"{tmp_path / 'tune.toml'}:2: goals.Ms = 2.0" in said
     assert not (tmp_path / "out").exists()
+
+
+def test_the_folder_of_a_sweep_is_left_alone(small: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A sweep and a job of one name go to one folder unless told otherwise."""
+    manifest = tmp_path / "out" / "manifest.json"
+    manifest.parent.mkdir()
+    manifest.write_text("{}")
+    assert verb(tmp_path, small()) == 2
+    assert "a folder without a sweep" in capsys.readouterr().err
+    assert list(manifest.parent.iterdir()) == [manifest]
 
 
 @pytest.mark.slow
