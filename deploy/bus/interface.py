@@ -50,6 +50,8 @@ def check_flags(arguments: argparse.Namespace) -> None:
         except can.CanInterfaceNotImplementedError:
             remedy = "Name one, as --interface socketcan --channel can0, or fly against the twin, --lockstep."
             raise InputError("--interface", "left out", "given", remedy) from None
+        except Exception:  # a file or variable of any wrong kind: told where the bus is opened, which reads it again
+            return
 
 
 def open_bus(arguments: argparse.Namespace, now: Callable[[], int] = time.monotonic_ns) -> Bus:
@@ -74,5 +76,6 @@ def open_interface(arguments: argparse.Namespace) -> can.BusABC:
         return create_bus_from_namespace(arguments)
     except argparse.ArgumentError as error:
         name = " ".join(f"{getattr(arguments, key, '')}" for key in ("interface", "channel")).strip()
+        name = name or "that python-can's own settings name"
         remedy = "check --interface and --channel, that its driver is loaded and that nobody else has it"
         raise BusError(f"the bus {name} cannot be opened ({error.__cause__ or error}): {remedy}") from None

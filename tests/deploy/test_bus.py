@@ -306,6 +306,12 @@ def test_a_bus_may_be_named_in_the_environment(monkeypatch):
     open_bus(parsed()).close()
 
 
+def test_an_environment_that_cannot_be_read_is_told_as_of_the_bus(monkeypatch):
+    monkeypatch.setenv("CAN_CONFIG", "{")
+    with pytest.raises(BusError, match="settings name cannot be opened"):
+        open_bus(parsed())
+
+
 def test_what_cannot_be_opened_is_one_sentence():
     with pytest.raises(BusError, match="check --interface and --channel") as raised:
         open_bus(parsed("--interface", "socketcan", "--channel", "nosuchcan"))
