@@ -4,7 +4,7 @@ import pytest
 
 from deploy.bus.bus import Bus
 from deploy.errors import BusError
-from deploy.loop.cycle import OperatorCommand
+from deploy.loop.cycle import Cycle, OperatorCommand
 from deploy.loop.options import Options
 from deploy.loop.session import Session
 from deploy.puck.codec import unpack_torques
@@ -81,6 +81,24 @@ def test_after_standing_still_nothing_is_computed_from_what_is_old(run):
     assert watchdog.driven == []
     assert watchdog.mode == 1
     assert session.statistics.overruns == 1
+
+
+def test_stopped_between_measuring_and_sending_the_torque_is_not_sent(run, monkeypatch):
+    step, stopped = Cycle.step, []
+
+    def stop_once_computed(cycle, *measured):
+        result = step(cycle, *measured)
+        if stopped and any(result.applied):
+            clock = stopped.pop()
+            clock.wait_until(clock.now() + 100_000_000)
+        return result
+
+    monkeypatch.setattr(Cycle, "step", stop_once_computed)
+    ended, _ = run(lambda clock, _: stopped.append(clock))
+    assert not stopped
+    assert (ended.safety_state.state, ended.safety_state.reason) == (OperatingState.FAULT, Reason.STALLED)
+    (watchdog,) = run.watchdogs
+    assert watchdog.driven == []
 
 
 def test_a_few_missed_cycles_end_in_holding(run):

@@ -164,8 +164,8 @@ def test_a_stopped_controller_computes_nothing_from_what_is_old(tmp_path):
         took = idled(heard, stopped) - stopped
         assert safety_mode(heard, bus) == 1
     assert took < 10.0 * SOON, f"{1e3 * took:.1f} ms"
-    # What was under way when it was stopped may still arrive; nothing after it was continued drives.
-    assert [at for at in driven(heard) if at > stopped + 0.09] == []
+    # A frame that was being sent when it was stopped is sent when it goes on, to idle pucks; no second one.
+    assert len([at for at in driven(heard) if at > stopped + max(took, 0.09)]) <= 1
     assert process.returncode == 1
     assert "stalled" in output
 
