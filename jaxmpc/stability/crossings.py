@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float, Real
 
 from jaxmpc.stability.search import peak, root
 
@@ -69,12 +69,23 @@ def loop_margins(live: Loop, frozen: Loop, T_s: Any) -> LoopMargins:
     response = live(at)
     slope = jax.jvp(frozen, (at,), (jnp.ones_like(at),))[1]
 
-    M_s = 1.0 / jnp.min(jnp.abs(1.0 + response[:2]))
+    M_s = 1.0 / least(jnp.abs(1.0 + response[:2]))
     gain, phase = _gain(response[2:4], slope[2:4]), _lag(response[4], slope[4])
     delay = _added_delay(live, frozen, *jax.lax.stop_gradient((at[5], response[5], slope[5])))
     up, down = jnp.where(places.has_gain, gain, jnp.inf)
     lag, late = jnp.where(places.has_lag, jnp.stack([jnp.rad2deg(phase), delay * T_s]), jnp.inf)
     return LoopMargins(M_s, up, down, lag, late)
+
+
+def least(values: Real[Array, "... n"]) -> Real[Array, "..."]:
+    """The least over the last dimension, with the derivatives of one of those that are; what is not a number stays so.
+
+    The derivative of `jnp.min` is that of all values equal to what it found, divided by their number. Where a compiler
+    computes a value once for the search and once more for the comparison, to other last bits, none is equal, and the
+    derivative is not a number: seen with jax 0.10 and 0.11.
+    """
+    found: Array = jnp.take_along_axis(values, jnp.argmin(values, axis=-1, keepdims=True), axis=-1)
+    return found[..., 0]
 
 
 class Curve(NamedTuple):

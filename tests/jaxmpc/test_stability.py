@@ -16,7 +16,7 @@ from jaxmpc.law import cascade
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.stability import CELLS
 from jaxmpc.stability.controller import filter_response
-from jaxmpc.stability.crossings import loop_margins
+from jaxmpc.stability.crossings import least, loop_margins
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius, transition_matrix
 from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis import design_one
@@ -301,6 +301,23 @@ def test_gradient_of_every_margin_is_the_central_difference(ideal: bool, mode: s
     difference = np.stack([(values(point + s) - values(point - s)) / (2 * step) for s in shifts], axis=1)
     for ours, expected in zip(jacobian, difference, strict=True):
         np.testing.assert_allclose(ours, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_slopes_of_a_batch_of_loops_are_numbers() -> None:
+    """Of all loops that are stable: programs of jax 0.10 and 0.11 lost half of them to a derivative of `jnp.min`."""
+    point = jnp.log(jnp.array([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0]))
+    points = point + 0.3 * np.random.default_rng(0).standard_normal((32, len(point)))
+
+    def worst(x: jax.Array) -> jax.Array:
+        return margins(Params(**dict(zip(NAMES, jnp.exp(x), strict=True))), np.array([375.0, 810.0, 1900.0])).M_s
+
+    assert np.isfinite(jax.jit(jax.vmap(jax.jacfwd(worst)))(points)).all()
+
+
+def test_the_least_keeps_what_is_not_a_number_and_has_one_slope_where_two_are_equal() -> None:
+    assert least(jnp.array([2.0, 1.0, 3.0])) == 1.0
+    assert np.isnan(least(jnp.array([2.0, np.nan, 1.0])))
+    np.testing.assert_array_equal(jax.grad(least)(jnp.array([1.0, 2.0, 1.0])), [1.0, 0.0, 0.0])
 
 
 @pytest.mark.oracle
