@@ -151,7 +151,8 @@ def _check_effect(spec: SweepSpec) -> None:
     for name in sorted(swept):
         if linear and name.startswith(("arm.", "tissue.")):
             raise _idle(name, "where runs are on the arm: the linear loop has none", 'Set experiment.physics = "wam".')
-        laws = [law.name for law in LAWS.values() if name in [f"tissue.{each.name}" for each in law.parameters]]
+        constant = name.removeprefix("tissue.").partition(".")[0] if name.startswith("tissue.") else None
+        laws = [law.name for law in LAWS.values() if constant in [each.name for each in law.parameters]]
         if laws and "tissue.kind" not in swept and not any(each.tissue.kind in laws for each in met):
             remedy = f'Set experiment.tissue.kind = "{laws[0]}".'
             raise _idle(name, f"where the tissue is of the law {' or '.join(laws)}", remedy)

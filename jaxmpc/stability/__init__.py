@@ -15,7 +15,7 @@ from jaxmpc import described
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.gains import Gains
 from jaxmpc.stability.controller import TransferFunction, controller_of
-from jaxmpc.stability.crossings import Loop, LoopMargins, least, loop_margins
+from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
 from jaxmpc.stability.held_beat import HeldBeat
 from jaxmpc.stability.loop import closed_loop_matrix, contacts_between, spectral_radius
 from jaxmpc.stability.response import loop_around
@@ -25,6 +25,7 @@ from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath, loop_path
 from jaxmpc.xla.blocks import padded
+from jaxmpc.xla.extremes import greatest, least
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 from jaxmpc.xla.rows import repeated, reshaped, traced
@@ -121,8 +122,8 @@ def worst_of(margins: Margins) -> Margins:
     The spectral radius is that of the loop that learns nothing, unless one that learns is unstable: a harmonic that is
     hardly learned has a pole as near to 1 as one likes, and says nothing of the loop.
     """
-    largest = {name: -least(-getattr(margins, name)) for name in ("M_s", "status")}
-    radius, at_most = margins.spectral_radius[..., 0], -least(-margins.spectral_radius)
+    largest = {name: greatest(getattr(margins, name)) for name in ("M_s", "status")}
+    radius, at_most = margins.spectral_radius[..., 0], greatest(margins.spectral_radius)
     smallest: Margins = jax.tree.map(least, margins)
     return smallest._replace(**largest, spectral_radius=jnp.where(at_most < 1.0, radius, at_most))
 
@@ -145,7 +146,7 @@ def _margins_cut(cell: Cells, cuts_at_a: Any) -> Margins:
         return loop_margins(loop(*parts), loop(*jax.lax.stop_gradient(parts)), contact.T_s)
 
     cuts = jax.vmap(margins_at)(cuts_at_a)
-    worst = LoopMargins(-least(-cuts.M_s), *map(least, cuts[1:]))
+    worst = LoopMargins(greatest(cuts.M_s), *map(least, cuts[1:]))
     stable = radius < 1.0
     up, down, phase, delay = (jnp.where(stable, value, jnp.nan) for value in worst[1:])
     return Margins(

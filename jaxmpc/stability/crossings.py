@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Real
+from jaxtyping import Array, Bool, Complex, Float
 
 from jaxmpc.stability.search import peak, root
+from jaxmpc.xla.extremes import least
 
 Scalar = Float[Array, ""]
 Loop = Callable[..., Complex[Array, "..."]]
@@ -75,17 +76,6 @@ def loop_margins(live: Loop, frozen: Loop, T_s: Any) -> LoopMargins:
     up, down = jnp.where(places.has_gain, gain, jnp.inf)
     lag, late = jnp.where(places.has_lag, jnp.stack([jnp.rad2deg(phase), delay * T_s]), jnp.inf)
     return LoopMargins(M_s, up, down, lag, late)
-
-
-def least(values: Real[Array, "... n"]) -> Real[Array, "..."]:
-    """The least over the last dimension, with the derivatives of one of those that are; what is not a number stays so.
-
-    The derivative of `jnp.min` is that of all values equal to what it found, divided by their number. Where a compiler
-    computes a value once for the search and once more for the comparison, to other last bits, none is equal, and the
-    derivative is not a number: seen with jax 0.10 and 0.11.
-    """
-    found: Array = jnp.take_along_axis(values, jnp.argmin(values, axis=-1, keepdims=True), axis=-1)
-    return found[..., 0]
 
 
 class Curve(NamedTuple):

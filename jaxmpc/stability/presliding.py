@@ -29,6 +29,7 @@ from jaxmpc.synthesis.params import Params
 from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath, loop_path
+from jaxmpc.xla.extremes import greatest
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 
@@ -88,7 +89,8 @@ def _over_cells(params: Params, stiffness: Any, frequencies: Any, path: LoopPath
         return margins_one(gains, on_spring(contact_of(K_s, params.K2, path), omega), ideal=False).M_s
 
     cells = jax.vmap(jax.vmap(mode, in_axes=(None, 0)), in_axes=(0, None))(stiffness, frequencies)
-    return jnp.max(cells, axis=1)
+    worst: Array = greatest(cells)
+    return worst
 
 
 _peaks = JitOnce(_over_cells)

@@ -105,7 +105,8 @@ def _written(shown: "Result", args: argparse.Namespace) -> int:
         print(f"written: {args.csv}")
     if args.params:
         if not len(shown):
-            raise InputError("--params", args.params, "written of a row", "No row is shown: raise --max-ms.")
+            place = f"`jaxmpc sweep best {args.what[1]}` tells what stands in the way."
+            raise InputError("--params", args.params, "written of a row that keeps the constraints", place)
         write_params(shown, args.params)
         print(f"written: {args.params}, the controller of row {shown['row'][0]}")
     return 0

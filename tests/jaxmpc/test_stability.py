@@ -16,7 +16,7 @@ from jaxmpc.law import cascade
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.stability import CELLS
 from jaxmpc.stability.controller import filter_response
-from jaxmpc.stability.crossings import least, loop_margins
+from jaxmpc.stability.crossings import loop_margins
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of, spectral_radius, transition_matrix
 from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis import design_one
@@ -312,12 +312,6 @@ def test_slopes_of_a_batch_of_loops_are_numbers() -> None:
         return margins(Params(**dict(zip(NAMES, jnp.exp(x), strict=True))), np.array([375.0, 810.0, 1900.0])).M_s
 
     assert np.isfinite(jax.jit(jax.vmap(jax.jacfwd(worst)))(points)).all()
-
-
-def test_the_least_keeps_what_is_not_a_number_and_has_one_slope_where_two_are_equal() -> None:
-    assert least(jnp.array([2.0, 1.0, 3.0])) == 1.0
-    assert np.isnan(least(jnp.array([2.0, np.nan, 1.0])))
-    np.testing.assert_array_equal(jax.grad(least)(jnp.array([1.0, 2.0, 1.0])), [1.0, 0.0, 0.0])
 
 
 @pytest.mark.oracle

@@ -208,6 +208,16 @@ def test_what_best_shows_is_headed_by_the_limit_it_was_asked_with(
     assert "M_s ≤ 2" not in said
 
 
+def test_where_no_row_is_good_params_are_not_written(
+    finished: Finished, command: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for verb in "best", "sensitivity":
+        assert command("sweep", verb, finished[0], "--max-ms", 1.01, "--params", tmp_path / "params.toml") == 2
+        said = capsys.readouterr().err
+        assert f"`jaxmpc sweep best {finished[0]}` tells what stands in the way" in said
+        assert not (tmp_path / "params.toml").exists()
+
+
 @pytest.mark.parametrize("row", ["²", "9" * 5000, "-1", "x"])
 def test_no_number_of_a_row(row: str, finished: Finished, command: Callable[..., int]) -> None:
     assert command("sweep", "row", finished[0], row) == 2

@@ -300,6 +300,8 @@ def test_worlds_that_cannot_be_are_refused(axes: dict[str, object], words: list[
         ({"published": "table-1-wam"}, ["tissue.viscosity"], ["where the tissue is of the law kelvin-voigt"]),
         ({"published": "table-1-wam", "tissue": {"kind": "kelvin-voigt"}}, ["tissue.viscosity"], None),
         ({"published": "table-1-wam"}, ["tissue.kind", "tissue.viscosity"], None),
+        ({"published": "table-1-wam"}, ["tissue.time_constants.1"], ["time_constants.1", "law standard-linear"]),
+        ({"published": "table-1-wam", "tissue": {"kind": "standard-linear"}}, ["tissue.time_constants.1"], None),
     ],
 )
 def test_an_axis_of_no_effect_is_refused(
@@ -309,6 +311,7 @@ def test_an_axis_of_no_effect_is_refused(
         "motion.seed": [1, 2],
         "motion.phases": ["table", "random"],
         "tissue.viscosity": [1.0, 2.0],
+        "tissue.time_constants.1": [1.0, 2.0],
         "tissue.kind": ["elastic", "kelvin-voigt"],
     }
     given = {"experiment": experiment, "sweep": {"kind": "grid", "axes": {name: values[name] for name in axes}}}

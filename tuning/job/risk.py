@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import msgspec
 from jaxtyping import Array, Float
 
+from jaxmpc.xla.extremes import greatest
+
 ORDER = 24
 """Order of the mean that stands for the worst case: equal to it where all cells are, 10 % below for one of 12 alone."""
 
@@ -26,7 +28,7 @@ class Risk(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             case "mean":
                 return jnp.mean(values, axis=-1)
             case "worst":
-                return jnp.max(values, axis=-1)
+                return greatest(values)
             case "soft-worst":
                 return soft_worst(values)
             case "cvar":

@@ -12,6 +12,7 @@ from jaxmpc.engine.registry import ENGINES
 from jaxmpc.law.gains import Gains
 from jaxmpc.metrics import Metrics
 from jaxmpc.stability import Margins
+from jaxmpc.xla.extremes import greatest
 from tuning.job.goals import OVERSHOOT, RATIO, RUN_GOALS, MarginGoals, margin_goals, run_goals
 from tuning.job.risk import soft_worst
 from tuning.job.space import SearchSpace
@@ -109,11 +110,11 @@ def evaluate_goals(loops: ClosedLoops, data: Data, structure: ProblemStructure) 
     if data.believed is None:
         per_scenario = jnp.moveaxis(cells_last, 2, 1).reshape(*cells_last.shape[::2], -1)
         risk = structure.risk.over(soft_worst(per_scenario))
-        missed = [jnp.max(goal, axis=(1, 2, 3))[:, None] for goal in hard.values()]
+        missed = [greatest(goal.reshape(len(goal), 1, -1)) for goal in hard.values()]
     else:
         # A knot serves its own tissue, so each counts: the worst alone would leave all others where they are.
         risk = _geometric_mean(structure.risk.over(soft_worst(cells_last)))
-        missed = [jnp.max(goal, axis=(2, 3)) for goal in hard.values()]
+        missed = [greatest(goal.reshape(*goal.shape[:2], -1)) for goal in hard.values()]
     return GoalEvaluation(judged, stable, margins, cells, soft, risk, missed)
 
 
