@@ -51,10 +51,14 @@ def tuned_file(folder: Path) -> Path:
 def experiment_from(text: str) -> "Experiment":
     """A published experiment by name, or a TOML file by path."""
     from jaxmpc.experiment import Experiment
+    from jaxmpc.synthesis.published import SETS
 
-    if Path(text).is_dir():
-        return Experiment.published(text)
-    return Experiment.from_toml(text) if _is_path(text) else Experiment.published(text)
+    if _is_path(text) and not Path(text).is_dir():
+        return Experiment.from_toml(text)
+    if text in SETS:
+        remedy = f"{text} is a controller (for --params); name what it is to meet, table-1-wam say."
+        raise InputError("EXPERIMENT", text, "an experiment", remedy)
+    return Experiment.published(text)
 
 
 def _is_path(text: str) -> bool:

@@ -68,6 +68,7 @@ def test_wrong_parameters_exit_2_with_one_sentence(
     ("arguments", "words"),
     [
         (["simulate", "table-2"], ["table-2", "figure-3", "table-1"]),
+        (["simulate", "family"], ["family is a controller (for --params)", "table-1-wam"]),
         (["simulate", "table-1", "--video"], ["--video", "--physics wam"]),
         (["simulate", "table-1-wam", "--video", "film.avi"], ["film.avi", "film.mp4"]),
         (["simulate", "gone.toml"], ["gone.toml", "No such file"]),
