@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from jaxmpc.beside import Beside
 from jaxmpc.xla.precision import in_float64
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
@@ -10,7 +11,7 @@ from tuning.job.spec import TuneSpec
 from tuning.proof.ahead import programs
 from tuning.proof.result import TuneResult, assess
 from tuning.reports.figures import before_after_figure, history_figure
-from tuning.reports.files import write
+from tuning.reports.files import HISTORY, write
 from tuning.reports.text import report
 from tuning.search.front import Front, pareto
 from tuning.search.run import run_search
@@ -50,7 +51,11 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
-    result = assess(run_search(spec, place, progress, programs), progress)
-    if place is not None:
-        write(result, place)
+    history = run_search(spec, place, progress, programs)
+    if place is None:
+        return assess(history, progress)
+    with Beside(1) as beside:
+        way = beside.submit(history_figure, history, place / HISTORY)
+        result = assess(history, progress)
+        write(result, place, way)
     return result

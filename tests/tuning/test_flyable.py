@@ -59,12 +59,16 @@ def test_the_best_start_that_may_fly_is_the_result(
     state.path[0], state.hard[0], state.iteration = state.z, 0.9, 1
     starts = [spec.space.exact(z) for z in state.z]
     runs: Any = np.zeros((2, 3, 3))
-    monkeypatch.setattr(tuning.proof.result, "versus", lambda *_: (runs, [runs]))
+    monkeypatch.setattr(
+        tuning.proof.result, "versus", lambda _, proven, *__: (runs, [runs + float(one.K2) for one in proven])
+    )
     monkeypatch.setattr(
         tuning.proof.result, "refusal", lambda _, params: "its torque" * (params in [starts[i] for i in refused])
     )
     problem: Any = None
     result = assess(SearchHistory(spec, [Step("linear", problem, state)], {}))
     assert float(result.params.K2) == float(starts[chosen].K2)
+    after: Any = result.heldout
+    assert (after[1] == float(result.params.K2)).all(), "what is told is of what was chosen"
     assert result.met == (len(refused) < 3)
     assert result.refused == ("its torque" if len(refused) == 3 else "")

@@ -1,6 +1,7 @@
 """Gradients of single goals out of whole losses, against closed forms; on real jobs against central differences."""
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -206,7 +207,9 @@ def test_another_structure_before_and_a_goal_that_nobody_meets(small: Job, tmp_p
     tables = {"baseline": {"disturbance_order": 2, "Q_p": 1e-3}, "goals": {"M_s": 1.01, "rms": 0.02}}
     job = small(tune={**tune, "diagonals": ["lam"]}, **tables)
     result = assess(run_search(TuneSpec.from_dict(job)))
-    write(result, tmp_path)
+    way: Future[None] = Future()
+    way.set_result(None)
+    write(result, tmp_path, way)
     assert not (tmp_path / "params.toml").exists()
     held = limits(result)
     assert {goal.goal for goal in held.active} == {"M_s", "rms"}

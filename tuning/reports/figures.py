@@ -9,20 +9,20 @@ from jaxmpc.experiment import AXES
 from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, figure
 from tuning.proof.reached import kept
 from tuning.proof.result import TuneResult
-from tuning.search.run import Step
+from tuning.search.run import SearchHistory, Step
 from tuning.search.state import FEASIBLE, SearchState
 
 BOTH = ((0, BASELINE, "before"), (1, TUNED, "after"))
 """Index, colour and name of the two controllers."""
 
 
-def history_figure(result: TuneResult, path: Path, step: Step | None = None) -> None:
+def history_figure(result: TuneResult | SearchHistory, path: Path, step: Step | None = None) -> None:
     """Score, worst residual, hard goals and parameters over the iterations, every start a line, the winner's in colour.
 
     Without a descent every point is a dot, the best of each iteration in colour.
 
     Args:
-        result: What `tune` returned.
+        result: What `tune` returned, or its search.
         path: Where the figure goes.
         step: One of its steps; None is the last.
     """

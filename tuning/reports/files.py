@@ -1,5 +1,6 @@
 """The files of a tuning run."""
 
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -14,40 +15,37 @@ from jaxmpc.xla.precision import in_float64
 from tuning.proof.flyable import freeze_command
 from tuning.proof.result import TuneResult
 from tuning.reports.explained import study
-from tuning.reports.figures import before_after_figure, history_figure
+from tuning.reports.figures import before_after_figure
 from tuning.reports.page import html_report
 from tuning.reports.text import report
 
+HISTORY = "history.png"
 
-def write(result: TuneResult, folder: Path) -> list[Path]:
+
+def write(result: TuneResult, folder: Path, way: Future[None]) -> None:
     """Write params.toml and experiment.toml (if every goal is met), history.npz, report.txt, the figures, report.html.
 
-    Returns:
-        The files written.
+    Args:
+        result: What was found.
+        folder: Where they go.
+        way: What draws `HISTORY` there meanwhile.
     """
-    written = [folder / "params.toml", folder / "experiment.toml"]
+    params, experiment = folder / "params.toml", folder / "experiment.toml"
     if not result.met:
-        for path in written:
+        for path in (params, experiment):
             path.unlink(missing_ok=True)  # of an earlier run: whoever names the folder would take it for this one's
-        written.clear()
     else:
-        params, experiment = written
         comment = f"Tuned by jaxmpc. Freeze it: {freeze_command(result.spec, experiment.name)}"
         write_toml(params, {"params": result.params.to_dict(), "provenance": provenance(result)}, comment)
         write_toml(experiment, tuned_on(result.spec.experiment), "What the controller beside this was tuned on.")
-    written.append(folder / "history.npz")
-    write_atomic(written[-1], history(result))
-    written.append(folder / "report.txt")
-    write_atomic(written[-1], report(result).encode())
+    write_atomic(folder / "history.npz", history(result))
+    write_atomic(folder / "report.txt", report(result).encode())
     with Beside(1) as beside:  # what explains the result is mostly compiling
         explaining = beside.submit(in_float64(study), result)
-        for name, draw in (("history.png", history_figure), ("before_after.png", before_after_figure)):
-            written.append(folder / name)
-            draw(result, path=written[-1])
+        way.result()
+        before_after_figure(result, folder / "before_after.png")
         found = explaining.result()
-    written.append(folder / "report.html")
-    write_atomic(written[-1], html_report(result, found).encode())
-    return written
+    write_atomic(folder / "report.html", html_report(result, found).encode())
 
 
 def tuned_on(experiment: Experiment) -> dict[str, Any]:

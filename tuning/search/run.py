@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from jaxmpc import margins
@@ -66,6 +67,8 @@ def run_search(
     if folder is not None:
         check_states(folder, [job.digest for job in jobs])
     with threads() as pool:
+        # A GPU takes seconds to begin, as does what reads the heart.
+        pool.submit(jax.devices)
         problems = [problem_of(job, training(job, job.tune.train_seeds), spectral=job.on_arm) for job in jobs]
         # Of several, nobody knows which will win.
         ahead = readied(jobs[0], problems[0], pool, after(jobs[0])) if spec.on_arm and len(jobs) == 1 else None
