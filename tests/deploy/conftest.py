@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from deploy.controller.freeze import freeze
 from jaxmpc.law import cascade
 from jaxmpc.law.gains import constant_reference
 from tests.deploy import made
@@ -53,6 +54,13 @@ def arguments():
         "golden": trace(gains, 12, preview=False),
         "provenance": {"jaxmpc": "0.1.0"},
     }
+
+
+@pytest.fixture
+def data(arguments, tmp_path):
+    """Bytes of a frozen controller."""
+    freeze(tmp_path / "good.npz", **arguments)
+    return (tmp_path / "good.npz").read_bytes()
 
 
 @pytest.fixture(scope="session")

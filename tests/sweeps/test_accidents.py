@@ -118,6 +118,36 @@ def test_ctrl_c_finishes_the_round_and_keeps_it(expected: tuple[Path, str], tmp_
     assert {name: when for name, when in chunks(folder).items() if name in before} == before
 
 
+def test_kill_9_and_the_number_of_cores_change_no_bit(write_spec: Write, spec_text: str, tmp_path: Path) -> None:
+    path, folder = write_spec(spec_text), tmp_path / "run"
+    process = start(path, folder)
+    while process.poll() is None and len(chunks(folder)) < 5:
+        time.sleep(0.005)
+    process.kill()
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    before = chunks(folder)
+    assert finish(start(path, folder)) == finish(start(path, tmp_path / "at once", "--cores", "3"))
+    assert {name: chunk for name, chunk in chunks(folder).items() if name in before} == before
+
+
+def test_five_kills_at_any_moment_change_no_bit(write_spec: Write, spec_text: str, tmp_path: Path) -> None:
+    path, folder = write_spec(spec_text), tmp_path / "run"
+    at_once = finish(start(path, tmp_path / "at once", "--cores", "1"))
+    began = time.monotonic()
+    assert finish(start(path, tmp_path / "again")) == at_once
+    whole, choice, kills = time.monotonic() - began, random.Random(5), 0
+    while kills < 5:
+        process = start(path, folder)
+        try:
+            process.wait(choice.uniform(0.0, whole))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            kills += 1
+        process.communicate()
+    assert finish(start(path, folder)) == at_once
+
+
 @pytest.fixture
 def tiny_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 64 KB."""

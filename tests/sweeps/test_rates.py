@@ -1,6 +1,7 @@
 """What a machine remembers of its runs: how fast rows are, what starting costs, and what compiling adds."""
 
 import json
+import pickle
 import time
 from dataclasses import replace
 from functools import partial
@@ -17,7 +18,7 @@ from jaxmpc.xla import store
 from sweeps import rates
 from sweeps.blocks import block_of, padded
 from sweeps.compiling import Compiling, so_far
-from sweeps.engines import Devices
+from sweeps.engines import Devices, devices
 from sweeps.pace import Pace
 from sweeps.plan import Plan, make_plan
 from sweeps.spec import SweepSpec
@@ -129,3 +130,20 @@ def test_a_trace_that_is_kept_says_what_tracing_takes(tmp_path: Path, monkeypatc
     traced, loaded = took
     assert min(traced.spent, traced.anew, loaded.anew) >= 0.3
     assert loaded.spent < 0.3
+
+
+def test_rates_are_of_the_device_and_engine_that_will_run(spec: SweepSpec, tmp_path: Path) -> None:
+    plan, file, pace = make_plan(spec), tmp_path / "rates.json", Pace(None, 256, 10_000)
+    pace.tell(256, 9.0)
+    pace.tell(256, 1.0)
+    here = devices(2)
+    rates.record(plan, pace, here, file)
+    found = rates.estimate(plan, here, where=file)
+    assert found is not None
+    assert found.rate == 256.0
+    for other in (Devices(1, "NVIDIA H100"), Devices(4, here.kind)):
+        assert rates.estimate(plan, other, where=file) is None
+    on_kernel = Plan(plan.canonical, plan.files, plan.goal, "kernel")
+    assert pickle.loads(pickle.dumps(on_kernel)).engine == "kernel"
+    assert on_kernel.spec_hash == plan.spec_hash
+    assert rates.estimate(on_kernel, here, where=file) is None

@@ -1,0 +1,193 @@
+"""A sweep goes on from what lies in its folder, whole or damaged, and computes nothing twice."""
+
+import json
+import random
+import resource
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import pytest
+
+from jaxmpc.files.sealed import SEAL
+from sweeps import chunks as stored
+from sweeps import store
+from sweeps.plan import Plan, make_plan
+from sweeps.result import Result
+from sweeps.run import run
+from sweeps.spec import SweepSpec
+
+ROWS = 120
+Finished = tuple[Path, Result]
+
+
+@pytest.fixture
+def copy(finished: Finished, spec: SweepSpec, tmp_path: Path) -> Path:
+    """A finished sweep in four chunks, to be damaged."""
+    folder = tmp_path / "copy"
+    assert run(spec, folder, chunk=32).hash == finished[1].hash
+    return folder
+
+
+def chunks(folder: Path) -> dict[str, tuple[int, bytes]]:
+    return {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in (folder / "chunks").glob("0*.npz")}
+
+
+def test_no_bit_depends_on_the_chunk_size(finished: Finished, copy: Path) -> None:
+    assert len(chunks(copy)) == 4
+    assert Result.load(copy).hash == finished[1].hash
+
+
+def test_a_finished_sweep_is_left_alone(copy: Path, spec: SweepSpec, finished: Finished) -> None:
+    before, summary = chunks(copy), (copy / "result.json").stat().st_mtime_ns
+    assert run(spec, copy, chunk=50).hash == finished[1].hash
+    assert chunks(copy) == before
+    assert (copy / "result.json").stat().st_mtime_ns == summary
+
+
+def test_what_a_process_has_written_it_neither_reads_nor_hashes_again(
+    copy: Path, spec: SweepSpec, finished: Finished, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("000000032-000000064.npz", "000000064-000000096.npz"):
+        (copy / "chunks" / name).unlink()
+    (copy / "result.json").unlink()
+    read, hash_of = Mock(wraps=stored._read_chunk), Mock(side_effect=make_plan(spec).hash_of)
+    monkeypatch.setattr(stored, "_read_chunk", read)
+    monkeypatch.setattr(Plan, "hash_of", hash_of)
+    assert run(spec, copy, chunk=32).hash == finished[1].hash
+    assert read.call_count == len(chunks(copy)) - 2
+    assert hash_of.call_count == 1
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "other"])
+def test_only_the_damaged_chunk_is_computed_again(
+    damage: str, copy: Path, spec: SweepSpec, finished: Finished, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = chunks(copy)
+    victim = copy / "chunks" / "000000032-000000064.npz"
+    data = bytearray(victim.read_bytes())
+    if damage == "flip":
+        data[random.Random(3).randrange(len(data))] ^= 1 << 5
+    elif damage == "cut":
+        del data[-SEAL - 7 :]
+    else:
+        data = bytearray((copy / "chunks" / "000000064-000000096.npz").read_bytes().replace(b"spec_hash", b"spec_hush"))
+    victim.write_bytes(data)
+    stored.read_chunks(copy, make_plan(spec))
+    assert f"{victim.name} is left out, until the sweep is run again" in caplog.text
+    assert victim.exists()
+    assert run(spec, copy, chunk=32).hash == finished[1].hash
+    assert f"{victim.name} is computed again" in caplog.text
+    after = chunks(copy)
+    assert {name for name in before if before[name][0] != after[name][0]} == {victim.name}
+    assert after[victim.name][1] == before[victim.name][1]
+
+
+def test_a_gap_is_filled_in_another_chunk_size(copy: Path, spec: SweepSpec, finished: Finished) -> None:
+    (copy / "chunks" / "000000032-000000064.npz").unlink()
+    (copy / "result.json").unlink()
+    (copy / "chunks" / ".000000032-000000064.npz.left").write_bytes(b"half a chu")
+    assert len(Result.load(copy)) == ROWS - 32
+    assert not Result.load(copy).complete
+    assert run(spec, copy, chunk=20).hash == finished[1].hash
+    assert {"000000032-000000052.npz", "000000052-000000064.npz"} <= set(chunks(copy))
+
+
+def test_a_folder_killed_before_its_first_chunk_goes_on(spec: SweepSpec, finished: Finished, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / ".manifest.json.left").write_bytes(b'{"schem')
+    assert not store.check(folder, make_plan(spec))
+    shutil.copy(finished[0] / "manifest.json", folder)
+    assert run(spec, folder).hash == finished[1].hash
+
+
+def test_another_environment_is_said(copy: Path, spec: SweepSpec, caplog: pytest.LogCaptureFixture) -> None:
+    path = copy / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["environments"][0]["jaxlib"] = "0.0.1"
+    path.write_text(json.dumps(manifest))
+    run(spec, copy)
+    assert 'jaxlib: there "0.0.1"' in caplog.text
+    assert len(json.loads(path.read_text())["environments"]) == 2
+    caplog.clear()
+    run(spec, copy)
+    assert caplog.text == ""
+
+
+def test_folders_of_something_else_are_refused_untouched(
+    copy: Path,
+    write_spec: Callable[[str], Path],
+    spec_text: str,
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    other = write_spec(spec_text.replace("1900.0", "1800.0"))
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.tex").write_text("\\documentclass")
+    edited = tmp_path / "edited"
+    shutil.copytree(copy, edited)
+    manifest = json.loads((edited / "manifest.json").read_text())
+    manifest["spec"]["experiment"]["duration"] = 2.0
+    (edited / "manifest.json").write_text(json.dumps(manifest))
+    before = sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*"))
+    for folder, word in (
+        (copy, "experiment.stiffness[1]: there 1900.0, here 1800.0"),
+        (mine, "It holds other files"),
+        (mine / "thesis.tex", "thesis.tex is a file"),
+        (edited, "changed by hand"),
+    ):
+        assert command("sweep", other, "-o", folder) == 2
+        assert word in capsys.readouterr().err
+    assert sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*")) == before
+
+
+def test_a_full_disk_stops_cleanly_and_costs_nothing(
+    spec_text: str,
+    write_spec: Callable[[str], Path],
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    finished: Finished,
+) -> None:
+    path, folder = write_spec(spec_text), tmp_path / "run"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8192, hard))
+    try:
+        code = command("sweep", path, "-o", folder, "--quiet")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 1
+    assert "cannot write: File too large" in capsys.readouterr().err
+    assert list((folder / "chunks").iterdir()) == []
+    assert command("sweep", path, "-o", folder, "--quiet") == 0
+    assert finished[1].hash in capsys.readouterr().out
+
+
+def test_ctrl_c_keeps_what_is_finished(
+    spec: SweepSpec,
+    spec_text: str,
+    write_spec: Callable[[str], Path],
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    finished: Finished,
+) -> None:
+    path, folder, write = write_spec(spec_text), tmp_path / "run", stored.write_chunk
+
+    def interrupted(*arguments: Any) -> None:
+        if len(chunks(folder)) == 2:
+            raise KeyboardInterrupt
+        write(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stored, "write_chunk", interrupted)
+        assert command("sweep", path, "-o", folder, "--chunk", 32, "--quiet") == 130
+    assert "run the same command again" in capsys.readouterr().err
+    assert len(chunks(folder)) == 2
+    assert run(spec, folder, chunk=32).hash == finished[1].hash
