@@ -87,7 +87,8 @@ class SweepAxis(msgspec.Struct, frozen=True):
 
 def whole(name: str) -> bool:
     """Whether a parameter counts samples or numbers something."""
-    return name in HORIZONS or name in ("delay", "arm.substeps", "arm.encoder_counts") or name.endswith(".seed")
+    counted = (*HORIZONS, *COUNTED, "delay", "arm.substeps", "arm.encoder_counts")
+    return name in counted or name.endswith(".seed")
 
 
 def make_axis(

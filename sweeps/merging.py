@@ -24,10 +24,18 @@ def merge(parts: Sequence[Rows]) -> tuple[Plan, Columns]:
     columns = {name: np.concatenate([each[name] for each in all_columns]) for name in all_columns[0]}
     columns["row"] = np.arange(len(columns["row"]))
     factor = tuple(_joined(axis.name, parts) for axis in first.space.axes)
-    columns |= {axis.name: axis.column() for axis in factor}
+    columns |= {axis.name: _places(axis) for axis in factor}
     space = SweepSpace("grid", (factor,), len(columns["row"]), 0, first.space.horizons)
     canonical = {**first.canonical, "space": msgspec.to_builtins(space)}
     return Plan(msgspec.json.decode(msgspec.json.encode(canonical)), first.files, first.goal), columns
+
+
+def _places(axis: SweepAxis) -> np.ndarray:
+    """Its column; rows of one choice have one place, the first at which it stands."""
+    if axis.numeric:
+        return axis.column()
+    first: dict[bytes, int] = {}
+    return np.array([float(first.setdefault(msgspec.json.encode(v), i)) for i, v in enumerate(axis.values)])
 
 
 def _joined(name: str, parts: Sequence[Rows]) -> SweepAxis:

@@ -91,8 +91,10 @@ class SweepRows:
         """Places of the good rows, the best first."""
         goal = goal or self.goal
         values = self.worst(goal.best)
-        order = np.argsort(values if MEASURED[goal.best].ceiling else -values, kind="stable")
-        good = np.isfinite(values) & self._within(goal)
+        cost = values if MEASURED[goal.best].ceiling else -values
+        order = np.argsort(cost, kind="stable")
+        # A margin may be infinitely good.
+        good = (cost < np.inf) & self._within(goal)
         places: np.ndarray = order[good[order]]
         return places
 
@@ -118,7 +120,7 @@ class SweepRows:
         """
         names = goals or ("rms", "M_s")
         table = np.stack([self.worst(name) * (1.0 if MEASURED[name].ceiling else -1.0) for name in names], axis=1)
-        places = np.flatnonzero(np.isfinite(table).all(axis=1) & (self.feasible if feasible else True))
+        places = np.flatnonzero((table < np.inf).all(axis=1) & (self.feasible if feasible else True))
         places = places[front(table[places])]
         return self.take(places[np.lexsort(table[places].T)])
 

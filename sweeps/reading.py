@@ -18,7 +18,7 @@ from sweeps.axis import Scale, SweepAxis, choice_only, make_axis
 from sweeps.rows import meetings, world_of
 from sweeps.space import Factor, SpaceKind, SweepSpace, make_space
 from sweeps.tables import RANGE_KEYS, Ends, Range, SweepTable
-from sweeps.targets import RECORDING, read, target
+from sweeps.targets import RECORDING, TABLES, read, target
 
 STIFFNESS_SETS: Mapping[str, tuple[float, ...]] = MappingProxyType(
     {"paper": (375.0, 810.0, 1900.0), "family": (375.0, 550.0, 810.0, 1250.0, 1900.0)}
@@ -27,8 +27,8 @@ STIFFNESS_SETS: Mapping[str, tuple[float, ...]] = MappingProxyType(
 
 LENGTHS = ("duration", "settle", "reference", "sampling_time")
 """Keys of the experiment that decide which samples count."""
-MOST_CHECKED = 64
-"""Points of a factor that are tried before anything runs."""
+MOST_CHECKED, MOST_LISTED = 64, 10_000
+"""Points of a factor that are tried before anything runs, and of one whose values are all written out."""
 
 
 def stiffness_set(name: str, own: Mapping[str, Any], key: str) -> tuple[float, ...]:
@@ -89,10 +89,10 @@ def _beside(name: str, described: Any, folder: Path) -> Any:
 def flattened(axes: Mapping[str, Any], root: str = "") -> Iterator[tuple[str, Any]]:
     """Dotted names of axes: `arm.cable_hz = […]` is a table in a table to TOML."""
     for name, described in axes.items():
-        inner = isinstance(described, dict) and described and not set(described) & RANGE_KEYS
-        if inner and f"{root}{name}" in ("motion", "reference", "sensor", "tissue", "arm"):
+        # None of these is an axis itself, and motion has a key that a range has, too: its seed.
+        if isinstance(described, dict) and f"{root}{name}" in TABLES:
             yield from flattened(described, f"{root}{name}.")
-        elif inner and root:
+        elif isinstance(described, dict) and described and root and not set(described) & RANGE_KEYS:
             yield from flattened(described, f"{root}{name}.")
         else:
             yield f"{root}{name}", described
@@ -163,7 +163,9 @@ def _points(factors: list[Factor], wanted: Callable[[SweepAxis], bool]) -> Itera
         return
     shape = [min(len(axis.column()) for axis in factor) for factor in kept]
     count = math.prod(shape)
-    for i in sorted({round(place) for place in np.linspace(0, count - 1, min(count, MOST_CHECKED))}):
+    written_out = len(kept) == 1 and all(axis.scale in ("list", "choice") for axis in kept[0])
+    most = MOST_LISTED if written_out else MOST_CHECKED
+    for i in sorted({round(place) for place in np.linspace(0, count - 1, min(count, most))}):
         places = np.unravel_index(i, shape)
         entries = [(axis, float(axis.column()[k])) for factor, k in zip(kept, places, strict=True) for axis in factor]
         yield tuple(axis for axis, _ in entries), tuple(entry for _, entry in entries)

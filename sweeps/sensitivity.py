@@ -7,6 +7,7 @@ from scipy.stats import spearmanr
 
 from jaxmpc.report.influence import crossed, first_order, stretches
 from sweeps.axis import SweepAxis
+from sweeps.goal import MEASURED
 from sweeps.result import Result
 
 
@@ -23,7 +24,8 @@ def sensitivity(result: Result, name: str) -> dict[str, Influence]:
     """The influence of every axis on a metric or margin at its worst over stiffness and axis.
 
     Shares are of all rows: those without a finite value count as twice as far as the worst of the others, in its
-    logarithm, so that losing the loop counts. A value that is not positive has no logarithm: then it is taken as it is.
+    logarithm, so that losing the loop counts, and those with an infinite margin as twice as far as the best. A value
+    that is not positive has no logarithm: then it is taken as it is.
 
     Args:
         result: The sweep.
@@ -40,8 +42,10 @@ def sensitivity(result: Result, name: str) -> dict[str, Influence]:
     score = np.full(len(values), np.nan)
     score[finite] = np.log(values[finite]) if logarithmic else values[finite]
     low, high = float(score[finite].min()), float(score[finite].max())
-    lost = high + (np.log(2.0) if logarithmic else high - low)
-    score = np.where(finite, score, lost if np.isposinf(values[~finite]).any() else low - (lost - high))
+    away = np.log(2.0) if logarithmic else high - low
+    # What is no number is as bad as can be; a margin may be infinitely good.
+    above = np.isposinf(values) | (np.isnan(values) & MEASURED[name].ceiling)
+    score = np.where(finite, score, np.where(above, high + away, low - away))
     exact = crossed([result[axis.name] for axis in result.axes])
     return {axis.name: _influence(axis, result, score, finite, exact) for axis in result.axes}
 

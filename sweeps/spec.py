@@ -1,5 +1,6 @@
 """What is swept, from a TOML file: experiment, base controller, axes, and what makes a row a good one."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ from sweeps.reading import read_space, stiffness_set
 from sweeps.space import SweepSpace
 from sweeps.tables import OnError, Precision, RefineTable, SweepTable
 from sweeps.targets import OWN_FILTERS
+
+DAMPING_FILTERS = ("velocity_lowpass", "velocity_cutoff")
+"""What only damping by a sampled velocity passes through."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +160,11 @@ def _check_effect(spec: SweepSpec) -> None:
         if laws and "tissue.kind" not in swept and not any(each.tissue.kind in laws for each in met):
             remedy = f'Set experiment.tissue.kind = "{laws[0]}".'
             raise _idle(name, f"where the tissue is of the law {' or '.join(laws)}", remedy)
+        if name == "sensor.seed" and "sensor.noise" not in swept and not any(each.sensor.noise for each in met):
+            raise _idle(name, "where the sensor has noise", "Set sensor.noise, or leave the seed out.")
+        if name in DAMPING_FILTERS and linear and "damping" not in swept:
+            if all(each.damping == "ideal" for each in met):
+                raise _idle(name, "where the damping is sampled", 'Set experiment.damping = "sampled".')
         if name == "motion.seed" and not swept & {"motion.kind", "motion.phases"}:
             if not any(each.motion.drawn for each in met):
                 remedy = 'Set motion.kind = "rhythm" or motion.phases = "random".'
@@ -193,8 +202,28 @@ def _refine(data: Any, spec: SweepSpec) -> RefineTable:
     keeps = [stage.keep for stage in table.stages]
     if keeps != sorted(keeps, reverse=True):
         raise InputError("refine.stages", keeps, "ever fewer rows", "A later stage keeps a part of an earlier one.")
-    for i, stage in enumerate(table.stages):
-        spec.on(stage.experiment, f"refine.stages[{i}].experiment")
+    changes = {f"refine.stages[{i}].experiment": stage.experiment for i, stage in enumerate(table.stages)}
     if table.rerun is not None:
-        spec.on(table.rerun.experiment, "refine.rerun.experiment")
+        changes["refine.rerun.experiment"] = table.rerun.experiment
+    swept = [axis.name for axis in spec.space.axes]
+    for root, each in changes.items():
+        spec.on(each, root)
+        for key in dotted(each):
+            if axis := next((name for name in swept if within(name, key) or within(key, name)), None):
+                remedy = f"Rows keep what {axis} gave them: leave it out of one of both."
+                raise InputError(f"{root}.{key}", "changed", "of what is not swept", remedy)
     return table
+
+
+def dotted(changes: dict[str, Any], root: str = "") -> Iterator[str]:
+    """Names of the keys that a change of an experiment sets."""
+    for key, value in changes.items():
+        if isinstance(value, dict):
+            yield from dotted(value, f"{root}{key}.")
+        else:
+            yield f"{root}{key}"
+
+
+def within(name: str, other: str) -> bool:
+    """Whether a dotted name is another, or an entry of it."""
+    return f"{name}.".startswith(f"{other}.")

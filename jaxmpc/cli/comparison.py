@@ -66,7 +66,7 @@ def parts(params: "Params") -> dict[str, "Params"]:
     do not suit the bare one, and beside a controller that does not work anything is good.
 
     Raises:
-        InputError: The controller is no cascade.
+        InputError: The controller is no cascade with fixed gains.
     """
     from dataclasses import replace
 
@@ -75,6 +75,9 @@ def parts(params: "Params") -> dict[str, "Params"]:
     if params.architecture != "mpc-aob":
         remedy = "Leave --compare out, or give a cascade."
         raise InputError("architecture", params.architecture, '"mpc-aob" with --compare', remedy)
+    if params.listening is not None:
+        remedy = "Leave --compare out, or put others beside it: `jaxmpc compare family cautious`, say."
+        raise InputError("--compare", "a family", "asked of fixed gains", remedy)
     return {OBSERVER: replace(params, architecture="aob"), PREDICTOR: Params.published("mpc-alone")}
 
 

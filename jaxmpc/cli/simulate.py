@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from jaxmpc.experiment import Experiment
     from jaxmpc.synthesis.params import Params
 
+SHORTEST = 1.0
+"""Record of a disturbance whose spectrum says something [s]."""
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
@@ -178,7 +181,10 @@ def _figures(
     path = folder / f"{experiment.name}.png"
     experiment_figure(path, experiment, controller, outcome, still, row)
     print(f"figure: {path} ({experiment.stiffness[row]:g} N/m{drawn_of(outcome, still)})")
-    if still is not outcome:
+    scored = experiment.duration - experiment.settle
+    if still is not outcome and scored < SHORTEST:
+        print(f"no spectrum of the disturbance: {scored:g} s are scored, and {SHORTEST:g} s tell frequencies apart")
+    elif still is not outcome:
         path = folder / f"{experiment.name}-spectrum.png"
         found = spectrum_figure(path, experiment, controller, outcome, still, row)
         amplitudes = [

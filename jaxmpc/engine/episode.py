@@ -102,7 +102,7 @@ class AxisEpisode(NamedTuple):
         """See `Episode`."""
         before = run.carry.contact.pending[0]
         following, sample = linear.advance(lane.gains, lane.contact, lane.lsb, run.carry, now, ops)
-        wanted, filters, swinging = sample.force_ref[0], run.filters, 0.0
+        wanted, filters, swinging = now.present, run.filters, 0.0
         if filters is not None and lane.high_pass is not None:
             above, filters = swing.step(lane.high_pass, filters, sample.true_force)
             swinging = ops.where(now.late, above, 0.0)
@@ -176,6 +176,7 @@ class ArmEpisode(NamedTuple):
             noise=tuple(now.noise),
             force_ref=tuple(map(tuple, now.force_ref)),
             score=tuple(now.score),
+            wanted=None if now.wanted is None else tuple(now.wanted),
         )
 
     def begin(self, lane: ArmLane, ops: Ops) -> ArmProgress:
@@ -191,8 +192,7 @@ class ArmEpisode(NamedTuple):
         before = run.carry
         following, sample = arm.advance(self.loop, lane.cell, before, now, ops)
         swinging, filters = _swinging(lane, run.filters, sample, now, ops)
-        wanted = [ahead[0] for ahead in now.force_ref]
-        forces = run.partial, run.extremes, now.score, wanted, sample.force, sample.true_force
+        forces = run.partial, run.extremes, now.score, now.present, sample.force, sample.true_force
         partial, extremes = zip(
             *(
                 add(sums, most, score > 0.0, force - ref, true - ref, a, a - then, force, above, ops)

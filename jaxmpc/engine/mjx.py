@@ -87,6 +87,7 @@ def _gained(q: Any, qd: Any, torque: Any, tool_mass: Any, viscous: Any, share: A
     whole, rest, carrying = _stock()
     m, d = jax.tree.map(cast, (whole, rest))
     m = m.replace(
+        opt=m.opt.replace(timestep=jnp.asarray(share, m.opt.timestep.dtype)),
         dof_damping=m.dof_damping.at[:4].set(viscous),
         body_mass=m.body_mass.at[carrying[0]].add(tool_mass),
         body_subtreemass=m.body_subtreemass.at[np.array(carrying)].add(tool_mass),

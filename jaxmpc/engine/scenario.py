@@ -64,7 +64,8 @@ def _axis_signals(experiment: Experiment, swinging: bool) -> AxisSignals:
     heart, noise, wanted, score = (np.moveaxis(signal, 1, 0) for signal in experiment.signals)
     ahead: Any = jnp.asarray(_ahead(experiment, wanted))
     late = jnp.asarray(np.broadcast_to(_late(experiment), score.shape)) if swinging else None
-    return AxisSignals(jnp.asarray(heart), jnp.asarray(noise), ahead, jnp.asarray(score), late=late)
+    present = jnp.asarray(wanted[:, : experiment.steps]) if experiment.reference.preview else None
+    return AxisSignals(jnp.asarray(heart), jnp.asarray(noise), ahead, jnp.asarray(score), late=late, wanted=present)
 
 
 def _late(experiment: Experiment) -> np.ndarray:
@@ -86,9 +87,10 @@ def _arm_signals(experiment: Experiment, swinging: bool) -> ArmSignals:
     ahead = np.moveaxis(_ahead(experiment, wanted.T), 0, 1)
     signals = (moving, between, noise, ahead, score * 1.0, softening(tissue, t), (t >= experiment.settle) * 1.0, t)
     watched = signals[6] * (not tissue.attached)
-    fields: Any = (*signals[:6], watched, t, *([_late(experiment) * 1.0] if swinging else []))
-    rows: list[Any] = [np.asarray(field)[None] for field in fields]
-    return ArmSignals(*rows)
+    present = wanted[: experiment.steps] if experiment.reference.preview else None
+    met = ArmSignals(*signals[:6], watched, t, _late(experiment) * 1.0 if swinging else None, present)
+    found: ArmSignals = jax.tree.map(lambda field: np.asarray(field)[None], met)
+    return found
 
 
 def _ahead(experiment: Experiment, wanted: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmpc import described
 from jaxmpc.experiment.reference import Reference, wanted_force
-from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
+from jaxmpc.experiment.tables import RESOLVED, ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest, plain_name
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
 from jaxmpc.law.ops import FLOATS
@@ -86,6 +86,10 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         if self.physics == "mjx" and self.arm.integrator != "euler":
             remedy = 'Set arm.integrator = "euler", which is MuJoCo\'s.'
             raise InputError("arm.integrator", self.arm.integrator, '"euler" on stock MJX', remedy)
+        resolved = RESOLVED * self.arm.substeps / max(1.0, self.sampling_time / 1e-3)
+        if self.physics == "wam" and self.arm.cable_hz > resolved * (1.0 + 1e-9):
+            bound = f"at most {resolved:g} Hz with arm.substeps = {self.arm.substeps} in {self.sampling_time:g} s"
+            raise InputError("arm.cable_hz", self.arm.cable_hz, bound, "Raise arm.substeps.")
 
     def __repr__(self) -> str:
         return described.as_text(*described.experiment(self))

@@ -4,6 +4,7 @@ The defaults are the nominal imperfect arm on the paper's elastic tissue. Every 
 itself with a zero.
 """
 
+from itertools import pairwise
 from types import GenericAlias
 from typing import Annotated, Any, Literal
 
@@ -82,6 +83,13 @@ class TissueSettings(_TissueConstants, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if self.kind not in LAWS:
             raise InputError("tissue.kind", self.kind, "a known law", nearest(self.kind, list(LAWS)))
+        begins = [change.at for change in self.changes]
+        for k, (first, then) in enumerate(pairwise(begins)):
+            if then < first:
+                remedy = "Sort them: each goes on from what the one before it has left."
+                raise InputError(
+                    f"tissue.changes[{k + 1}].at", then, f"at least {first:g} s, as the one before", remedy
+                )
 
     @property
     def constants(self) -> tuple[Any, ...]:

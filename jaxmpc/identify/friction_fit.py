@@ -156,7 +156,9 @@ def fit(joints: Sequence[JointData], t: np.ndarray, offsets: bool) -> Fit:
     weight = np.array([1.0 / np.sqrt(left) for _, left in guesses])
     start = np.stack([guess for guess, _ in guesses])
     low, high = np.full_like(start, -np.inf), np.full_like(start, np.inf)
+    low[:, :2] = 0.0
     low[:, 2], high[:, 2] = np.log(PRESLIDING_BOUNDS)
+    start = np.clip(start, low, high)
     size, m = start.shape[1], len(t)
 
     def model(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -201,5 +203,6 @@ def _standard_errors(residual: np.ndarray, slopes: np.ndarray, t: np.ndarray) ->
     inverse = np.linalg.pinv(np.einsum("mjp,mjq->pq", slopes, slopes))
     # As many parameters as blocks would fit each block's gradient to zero.
     spare = len(blocks) / max(len(blocks) - p, 1)
-    error: np.ndarray = np.sqrt(spare * np.diagonal(inverse @ blocks.T @ blocks @ inverse))
+    # Of what moves nothing, as the presliding of a joint without friction, it is 0 but for rounding.
+    error: np.ndarray = np.sqrt(np.maximum(spare * np.diagonal(inverse @ blocks.T @ blocks @ inverse), 0.0))
     return error

@@ -24,6 +24,8 @@ LEAST_TRAVEL = 0.1
 """What a joint must span, and the path after which its bristle has forgotten where it began [rad]."""
 EDGE = 1.5
 """Left out at both ends, where spline and low-pass have data on one side only [periods of the cutoff]."""
+LIGHTEST, HEAVIEST = 0.5, 10.0
+"""Masses over the model's [-], between which an experiment can have them."""
 
 
 class MotionRecording(NamedTuple):
@@ -151,8 +153,8 @@ def identify(recording: MotionRecording, cutoff: float = 15.0, offsets: bool = T
         offsets: Whether a constant torque per joint is estimated too.
 
     Raises:
-        InputError: Too few samples, time that does not increase, sampling below 200 Hz, or a joint whose friction
-            cannot be told from this motion.
+        InputError: Too few samples, time that does not increase, sampling below 200 Hz, a joint whose friction
+            cannot be told from this motion, or torques that are none of an arm with these masses.
     """
     from jaxmpc.identify.friction_fit import Band, JointData, fit, rigid_body, smooth
 
@@ -168,6 +170,10 @@ def identify(recording: MotionRecording, cutoff: float = 15.0, offsets: bool = T
     velocity, links, net, tau = band(qdot), band(links), band(tau - drives * qddot), band(tau)
     joints = [JointData(np.diff(q[:, j]), np.diff(t), band, velocity[:, j], links[:, j], net[:, j]) for j in range(4)]
     found = fit(joints, t[used][:: band.every], offsets)
+    if not LIGHTEST <= found.mass_scale < HEAVIEST:
+        remedy = "q must be in rad, tau in N m, and a positive tau must turn a joint the way in which its q grows."
+        bound = f"between {LIGHTEST:g} and {HEAVIEST:g} times the model's"
+        raise InputError("masses", f"{found.mass_scale:.3g} times the model's", bound, remedy)
 
     def estimate(row: int) -> FrictionEstimate:
         return FrictionEstimate(found.per_joint[:, row], found.per_joint_error[:, row])

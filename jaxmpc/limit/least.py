@@ -37,7 +37,8 @@ LINES = 2000
 """Lines that stand for an experiment: few ones would let a law put its notches where they happen to be."""
 ANGLES = 300
 """Angles of noise and sensitivity below and above the bend."""
-
+SMALLEST_UNIT = 1e-3
+"""The solver counts the residual in the sensor's noise, or where that is less in this [N]."""
 TISSUES = 9
 """Tissues of a band on which the sensitivity is looked at."""
 
@@ -123,7 +124,8 @@ def least(
     if np.isfinite(demands.chatter):
         moved = _root_mean_square(nervous, spectrum, index, shares, demands.chatter)
         cones.append(Rows(np.append(1.0, moved.offset), np.vstack([0.0 * moved.matrix[:1], moved.matrix])))
-    weights = least_norm(_root_mean_square(force, spectrum, index, shares, spectrum.noise[index]), cones)
+    unit = max(float(spectrum.noise[index]), SMALLEST_UNIT)
+    weights = least_norm(_root_mean_square(force, spectrum, index, shares, unit), cones)
     if weights is None:
         asked = f"M_s {demands.M_s:g}, chatter {demands.chatter:g} m/s², band ±{100.0 * demands.band:g} %"
         remedy = "Allow more chatter or a larger M_s, or take a narrower band."

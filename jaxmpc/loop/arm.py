@@ -41,6 +41,14 @@ class ArmSignals(NamedTuple):
     """[s]"""
     late: Any = None
     """Whether the sample is of the end of the run, where swinging is judged; None costs nothing and judges none."""
+    wanted: Any = None
+    """Wanted force of the sample itself where `force_ref` is of later ones, per axis or (…, 3); None where that is its
+    first [N]."""
+
+    @property
+    def present(self) -> Any:
+        """What is wanted at the sample itself, by which its force is judged, per axis [N]."""
+        return tuple(ahead[0] for ahead in self.force_ref) if self.wanted is None else self.wanted
 
 
 class ArmSample(NamedTuple):
@@ -202,7 +210,7 @@ def untroubled(like: Scalar) -> Trouble:
 def noticed(trouble: Trouble, sample: ArmSample, now: ArmSignals, force_limit: Scalar, ops: Ops) -> Trouble:
     """What has happened first, this sample included."""
     x, y, z = sample.force
-    error = _largest((y - wanted[0] for y, wanted in zip(sample.force, now.force_ref, strict=True)), ops)
+    error = _largest((y - wanted for y, wanted in zip(sample.force, now.present, strict=True)), ops)
     within = x * x + y * y + z * z < force_limit * force_limit
     over = ops.where(within, ops.where(error < HIGHEST_ERROR, inf, now.time), now.time)
     largest = _largest(sample.force, ops)

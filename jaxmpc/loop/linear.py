@@ -34,6 +34,13 @@ class AxisSignals(NamedTuple):
     """Acceleration of the tip by what else acts on it, such as friction [m/s²]; None costs nothing."""
     late: Any = None
     """Whether the sample is of the end of the run, where swinging is judged; None costs nothing and judges none."""
+    wanted: Scalar | None = None
+    """Wanted force of the sample itself where `force_ref` is of later ones; None where that is its first [N]."""
+
+    @property
+    def present(self) -> Scalar:
+        """What is wanted at the sample itself, by which its force is judged [N]."""
+        return self.force_ref[0] if self.wanted is None else self.wanted
 
 
 class Sample(NamedTuple):

@@ -55,8 +55,14 @@ def disturbance_seen(experiment: Experiment, outcome: "Outcome", still: "Outcome
     assert still.trace is not None
     moving, quiet = outcome.trace, still.trace
     return disturbance(
-        experiment.stiffness[row], moving.tip[row], quiet.tip[row], moving.force[row], moving.force_ref[row, :, :, 0]
+        experiment.stiffness[row], moving.tip[row], quiet.tip[row], moving.force[row], wanted_of(experiment)
     )
+
+
+def wanted_of(experiment: Experiment) -> np.ndarray:
+    """Wanted force of every sample itself, shape (3, steps) [N]; a trace has what the controller was told ahead."""
+    wanted: np.ndarray = experiment.signals.force_ref[: experiment.steps].T
+    return wanted
 
 
 def title_of(experiment: Experiment, controller: str, row: int, drawn: str, notes: str) -> str:
@@ -81,7 +87,7 @@ def experiment_figure(
     assert outcome.trace is not None
     assert still.trace is not None
     t = np.arange(experiment.steps) * experiment.sampling_time
-    wanted, force = np.asarray(outcome.trace.force_ref)[row, :, :, 0], np.asarray(outcome.trace.force)[row]
+    wanted, force = wanted_of(experiment), np.asarray(outcome.trace.force)[row]
     residual, quiet = force - wanted, np.asarray(still.trace.force)[row] - wanted
     felt = disturbance_seen(experiment, outcome, still, row)
     scored = experiment.signals.score

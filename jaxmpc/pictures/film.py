@@ -66,7 +66,7 @@ def film(path: Path, experiment: Experiment, outcome: "Outcome", row: int) -> No
             np.asarray(outcome.trace.q)[row].T,
             displacement(experiment.motion, t)[0],
             np.asarray(outcome.trace.force)[row].T,
-            np.asarray(outcome.trace.force_ref)[row, :, :, 0].T,
+            experiment.signals.force_ref[: experiment.steps],
             touch=tip_at(experiment.arm.resting()),
             size=SIZE,
             title=f"{experiment.name}, $K_s$ = {experiment.stiffness[row]:g} N/m",

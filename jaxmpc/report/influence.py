@@ -88,5 +88,8 @@ def _score(values: np.ndarray, floor: bool) -> np.ndarray:
     worst = float(values[finite].min() if floor else values[finite].max())
     beyond = worst / UNSTABLE if floor == (worst > 0.0) else UNSTABLE * worst
     filled = np.where(finite, values, beyond)
+    if floor:  # a margin may be infinitely good
+        best = float(values[finite].max())
+        filled = np.where(np.isposinf(values), UNSTABLE * best if best > 0.0 else best / UNSTABLE, filled)
     scored: np.ndarray = np.log(filled) if filled.min() > 0.0 else filled
     return scored

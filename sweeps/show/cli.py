@@ -147,7 +147,7 @@ def _report(result: "Result", folder: Path, args: argparse.Namespace, n: int) ->
         note = f"Row {best['row'][0]} of a sweep, result {result.hash}"
         write_toml(written[-1], {"params": best.controller(0).to_dict()}, note)
     if args.csv:
-        result.to_csv(args.csv)
+        result.explored.to_csv(args.csv)
         written.append(args.csv)
     print(counts(result))
     print(table(result, n, limit))

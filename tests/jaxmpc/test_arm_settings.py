@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 
-from jaxmpc import Experiment, InputError
+from jaxmpc import Experiment, InputError, Params
 from jaxmpc.engine.scenario import with_physics
 from jaxmpc.experiment.build import robot_of
 from jaxmpc.experiment.tables import ArmSettings, TissueSettings, softening
 from jaxmpc.world.arm import JOINTS, TOOL_MASS, joint_ranges, link_inertias, model, tip_at
+from tuning.trials.drawn import NOMINAL, Job
 
 WAM = 'physics = "wam"\n'
 
@@ -77,6 +78,24 @@ def test_wrong_input_is_told_with_its_place(
     assert (found.line, found.key, str(found.value)) == (line, key, str(value))
     assert bound in found.bound
     assert remedy in found.remedy
+
+
+def test_a_tissue_changes_in_order_of_time() -> None:
+    """One that came too late would be lost: each goes on from what the one before it has left."""
+    later, sooner = {"at": 10.0, "factor": 2.0, "duration": 0.0}, {"at": 5.0, "factor": 0.5, "duration": 0.0}
+    with pytest.raises(InputError, match=r"tissue\.changes\[1\]\.at = 5\.0: must be at least 10 s"):
+        Experiment.from_dict({"physics": "wam", "tissue": {"changes": [later, sooner]}})
+    Experiment.from_dict({"physics": "wam", "tissue": {"changes": [sooner, later]}})
+
+
+def test_a_cable_is_resolved_by_substeps_of_a_millisecond_at_any_sampling() -> None:
+    """A hundred hertz on 2 ms blow up within nine samples."""
+    slow: dict[str, Any] = {"physics": "wam", "sampling_time": 0.002}
+    with pytest.raises(InputError, match=r"cable_hz = 100\.0: must be at most 50 Hz with arm\.substeps = 1"):
+        Experiment.from_dict({**slow, "arm": {"cable_hz": 100.0}})
+    assert Experiment.from_dict({**slow, "arm": {"cable_hz": 100.0, "substeps": 2}}).arm.substeps == 2
+    base = Experiment.from_dict({**slow, "settle": 2.0, "duration": 30.0})
+    assert Job((Params(),), base, NOMINAL).base.arm.substeps == 10
 
 
 @pytest.mark.parametrize("text", ["[arm]\nsubsteps = 2", "[arm]\ncable_hz = 20.0"])

@@ -172,6 +172,12 @@ def test_unstable_controller_is_told_and_the_rest_drawn(tmp_path: Path, capsys: 
 
 
 @pytest.mark.slow
+def test_of_a_moment_no_spectrum_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = experiment_file(tmp_path, duration=1.1, settle=1.0, reference={"z": -0.5})
+    assert main(["simulate", path, "-o", str(tmp_path / "out")]) == 0
+    assert "no spectrum of the disturbance: 0.1 s are scored" in capsys.readouterr().out
+
+
 def test_where_nothing_is_stable_nothing_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = experiment_file(tmp_path, stiffness=[1900.0])
     assert main(["simulate", path, "--params", "printed", "-o", str(tmp_path / "out")]) == 1
@@ -185,6 +191,8 @@ def test_only_a_cascade_has_parts_to_compare_with() -> None:
     alone = comparison.parts(Params(Khat_s=700.0))
     assert [p.architecture for p in alone.values()] == ["aob", "mpc"]
     assert float(alone["AOB alone"].Khat_s) == 700.0
+    with pytest.raises(InputError, match=r"--compare = a family"):
+        comparison.parts(Params.published("family"))
 
 
 def test_reduction_and_deviation_are_those_of_the_numbers() -> None:
@@ -281,7 +289,7 @@ def test_film_shows_the_run_at_the_row_asked_for(tmp_path: Path) -> None:
     """From a trace made by hand; JAX runs already, and its warning about forks must not stop the encoder."""
     pytest.importorskip("imageio_ffmpeg")
     experiment = Experiment.from_dict(
-        Experiment.published("rhythm-steady").to_dict() | {"duration": 0.1, "settle": 0.0}
+        Experiment.published("rhythm-steady").to_dict() | {"duration": 0.1, "settle": 0.0, "reference": {"z": -1.0}}
     )
     outcome = evaluate(Params(), Experiment.from_toml(experiment_file(tmp_path)))
     lost, steps = np.full((1, 3, experiment.steps), np.nan), experiment.steps

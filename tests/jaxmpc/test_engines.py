@@ -10,10 +10,14 @@ import pytest
 from jaxmpc import Params, evaluate
 from jaxmpc.cli.doctor import engine_lines
 from jaxmpc.closed_loops import close_loops
+from jaxmpc.engine import mjx
 from jaxmpc.engine.registry import ENGINES, choose, fastest, named
 from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.terminal import arguments
+from jaxmpc.world.arm import chain
+from jaxmpc.world.joint_acceleration import accelerate
 from tests.jaxmpc.arm_tables import TABLE, changed
 
 SLOPES = {"forward": jax.jacfwd, "reverse": jax.jacrev}
@@ -46,6 +50,17 @@ def test_what_an_engine_declares_it_can_differentiate(physics: str) -> None:
     found = [float(jax.jit(SLOPES[mode](residual))(jnp.ones(()))) for mode in engine.modes]
     assert found[0] != 0.0
     np.testing.assert_allclose(found, found[0], rtol=1e-6)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("share", [5e-4, 1e-3, 2e-3])
+def test_stock_mjx_gains_what_the_chain_does_at_any_step(share: float) -> None:
+    """Not at that of its own file alone, a millisecond."""
+    q, qd, torque, viscous = (0.0, 0.7, 0.0, 2.2), (0.1, -0.2, 0.3, 0.1), (1.0, -20.0, 2.0, 5.0), (1.5, 0.9, 0.5, 0.25)
+    met = [tuple(jnp.array([value]) for value in vector) for vector in (q, qd, torque)]
+    found = mjx.accelerate(chain(), *met, 0.0, tuple(map(jnp.asarray, viscous)), share, None)
+    expected = accelerate(chain(), q, qd, torque, 0.0, viscous, share, FLOATS)
+    np.testing.assert_allclose(np.ravel(found), expected, rtol=1e-9)
 
 
 def test_an_engine_is_refused_what_it_does_not_know() -> None:

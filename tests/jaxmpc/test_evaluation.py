@@ -68,6 +68,22 @@ def test_metrics_are_those_of_the_trace() -> None:
         assert (np.asarray(getattr(outcome.metrics, name)) == 0.0).all()
 
 
+@pytest.mark.parametrize("physics", ["linear", pytest.param("wam", marks=pytest.mark.oracle)])
+def test_who_knows_the_reference_ahead_is_judged_by_that_of_the_sample_itself(physics: str) -> None:
+    """Not by the first that it was told, which is of the next sample."""
+    fast = {"z": [{"kind": "sweep", "amplitude": 2.0, "start": 2.0, "stop": 4.0, "duration": 1.5}], "preview": True}
+    still = {"motion": {"kind": "none"}, "sensor": {"noise": 0.0, "lsb": [0.0, 0.0, 0.0]}, "stiffness": [810.0]}
+    experiment = Experiment.from_dict({"physics": physics, "duration": 1.5, "settle": 0.5, "reference": fast, **still})
+    outcome = evaluate(Params(), experiment, trace=True)
+    assert outcome.trace is not None
+    error = (np.asarray(outcome.trace.force)[0] - experiment.signals.force_ref[:1500].T)[2, 500:]
+    metrics = outcome.metrics
+    assert float(metrics.rms[0, 2]) == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
+    assert float(metrics.peak_to_peak[0, 2]) == pytest.approx(np.ptp(error), rel=1e-9)
+    told = np.asarray(outcome.trace.force_ref)[0, 2, :-1, 0]
+    np.testing.assert_array_equal(told, experiment.signals.force_ref[1:1500, 2])
+
+
 @pytest.mark.parametrize("damping", ["ideal", "sampled"])
 def test_the_measured_force_is_the_true_one_behind_the_sensor(damping: str) -> None:
     """Low-pass by scipy, the noise of the experiment, rounding to the sensor's LSB."""

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -9,8 +10,11 @@ from deploy.twin.own_motion import EVERY, own_motion, settings
 from deploy.twin.world import TICK
 from jaxmpc.cli import main
 from jaxmpc.cli.identify import EXAMPLES, SAMPLE
+from jaxmpc.experiment.tables import ArmSettings
+from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import read_toml
-from jaxmpc.identify.identification import read_recording
+from jaxmpc.identify.friction_fit import smooth
+from jaxmpc.identify.identification import identify, read_recording, write
 
 
 def test_it_is_the_twins() -> None:
@@ -37,3 +41,22 @@ def test_what_it_tells_is_what_the_twin_has(
     assert found["presliding"] == pytest.approx(truth.presliding, rel=0.15)
     # The links are heavier, the tool is not: the one scale of both lies between.
     assert 1.0 < 1.0 / (1.0 + found["mass_error"]) < truth.mass_scale
+
+
+def test_friction_is_never_less_than_none(tmp_path: Path) -> None:
+    """What is written goes into an experiment, also where a joint has no viscous friction that could be told."""
+    recording = read_recording(EXAMPLES / f"{SAMPLE}.csv")
+    _, qdot, _ = smooth(recording.t, recording.q, 60.0)
+    taken = 1.1 * np.array(settings().viscous)
+    found = identify(recording._replace(tau=recording.tau - qdot * taken))
+    write(tmp_path / "friction.toml", found)
+    table = read_toml(tmp_path / "friction.toml")["arm"]
+    arm = msgspec.convert(table, ArmSettings)
+    assert 0.0 <= min(arm.viscous) < 1e-6
+
+
+def test_degrees_and_torques_of_the_other_sign_are_told() -> None:
+    recording = read_recording(EXAMPLES / f"{SAMPLE}.csv")
+    for wrong in (recording._replace(q=np.rad2deg(recording.q)), recording._replace(tau=-recording.tau)):
+        with pytest.raises(InputError, match=r"masses = .* q must be in rad, tau in N m"):
+            identify(wrong)

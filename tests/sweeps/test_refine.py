@@ -10,13 +10,18 @@ import pytest
 
 import sweeps
 from jaxmpc import evaluate
+from jaxmpc.cli import main
 from jaxmpc.files.errors import InputError
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
+from sweeps.axis import SweepAxis
+from sweeps.merging import merge
+from sweeps.plan import make_plan
 from sweeps.refine.run import run as refine
 from sweeps.result import merged
 from sweeps.run import run
 from sweeps.show.report import sweep_report
+from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
 
 STAGE = {"keep": 12, "experiment": {"duration": 0.6, "settle": 0.3}}
@@ -130,6 +135,8 @@ def test_the_best_rows_run_once_more_on_the_arm(tmp_path: Path) -> None:
     assert "The best 3 of 12 rows once more, on the arm" in page
     assert "rank before" in page
     assert f"{len(linear)} rows on 2 stiffnesses" in page
+    assert main(["sweep", "report", f"{tmp_path / 'run'}", "--csv", f"{tmp_path / 'rows.csv'}"]) == 0
+    assert len((tmp_path / "rows.csv").read_text().splitlines()) == 1 + 2 * len(linear)
 
 
 @pytest.mark.parametrize(
@@ -147,3 +154,11 @@ def test_wrong_tables_are_refused(table: dict[str, Any], words: list[str]) -> No
     with pytest.raises(InputError) as caught:
         made(**table)
     assert [word for word in words if word not in str(caught.value)] == []
+
+
+def test_rows_of_one_choice_are_of_one_kind(spec: SweepSpec) -> None:
+    """Where rows are written out each has its own copy of the choice."""
+    axis = SweepAxis("architecture", "choice", ("mpc", "aob", "mpc", "aob"))
+    plan = make_plan(replace(spec, space=SweepSpace("grid", ((axis,),), 4, 0, spec.space.horizons)))
+    _, columns = merge([(plan, {"row": np.arange(4), "architecture": axis.column()})] * 2)
+    assert columns["architecture"].tolist() == [0.0, 1.0] * 4

@@ -15,6 +15,7 @@ import pytest
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import MARGINS, METRICS
+from jaxmpc.report.influence import _score
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps.goal import SweepGoal
@@ -39,6 +40,28 @@ def made_up(points: np.ndarray, status: np.ndarray, plan: Plan) -> Result:
     rms, M_s = np.zeros((n, 2, 3), np.float32), np.ones((n, 2))
     rms[:, 0, 2], M_s[:, 0] = points.T
     return Result(plan, {"row": np.arange(n), "status": status, "rms": rms, "M_s": M_s})
+
+
+def test_a_margin_may_be_infinitely_good(finished: Finished) -> None:
+    """As of a loop that no lower gain makes unstable; one that is lost has −∞."""
+    n, plan = 40, finished[1].plan
+    reduction = np.linspace(3.0, 20.0, n)
+    reduction[[5, 6]], reduction[[7, 8]] = np.inf, -np.inf
+    made = made_up(np.stack([np.linspace(0.1, 0.2, n), np.full(n, 1.5)], axis=1), np.full((n, 2), Status.OK), plan)
+    made = replace(made, columns={**made.columns, "gain_reduction_db": np.repeat(reduction[:, None], 2, axis=1)})
+    ranked = made.ranked(SweepGoal("gain_reduction_db", {})).tolist()
+    assert ranked[:2] == [5, 6]
+    assert sorted(ranked) == sorted({*range(n)} - {7, 8})
+    assert {5} <= set(made.pareto("rms", "gain_reduction_db")["row"].tolist()) <= {*range(6)}
+    scores = _score(reduction, floor=True)
+    assert (scores[[5, 6]] > scores[-1]).all()
+    assert (scores[[7, 8]] < scores[0]).all()
+    lam = np.where(np.isposinf(reduction), 4.0, np.where(np.isneginf(reduction), 1.0, 2.0))
+    made = replace(
+        made, columns={**made.columns, "lam": lam, "T_cl": np.tile([1.0, 2.0], n // 2), "Hp": np.full(n, 10)}
+    )
+    # Where infinitely good counted as lost, lam would explain nothing.
+    assert sensitivity(made, "gain_reduction_db")["lam"].share > 0.3
 
 
 def test_what_stands_in_the_way_is_told_where_no_row_is_good(finished: Finished) -> None:

@@ -102,6 +102,10 @@ def test_worlds_that_cannot_be_are_refused(axes: dict[str, object], words: list[
         ({"published": "table-1-wam"}, ["tissue.kind", "tissue.viscosity"], None),
         ({"published": "table-1-wam"}, ["tissue.time_constants.1"], ["time_constants.1", "law standard-linear"]),
         ({"published": "table-1-wam", "tissue": {"kind": "standard-linear"}}, ["tissue.time_constants.1"], None),
+        ({"sensor": {"noise": 0.0}}, ["sensor.seed"], ["sensor.seed", "where the sensor has noise"]),
+        ({}, ["sensor.seed"], None),
+        ({}, ["velocity_cutoff"], ["velocity_cutoff", "where the damping is sampled"]),
+        ({"damping": "sampled"}, ["velocity_cutoff"], None),
     ],
 )
 def test_an_axis_of_no_effect_is_refused(
@@ -109,6 +113,8 @@ def test_an_axis_of_no_effect_is_refused(
 ) -> None:
     values = {
         "motion.seed": [1, 2],
+        "sensor.seed": [1, 2],
+        "velocity_cutoff": [50.0, 100.0],
         "motion.phases": ["table", "random"],
         "tissue.viscosity": [1.0, 2.0],
         "tissue.time_constants.1": [1.0, 2.0],
@@ -127,6 +133,35 @@ def test_an_axis_of_which_the_rerun_alone_depends_is_taken() -> None:
     motion = {"motion": {"kind": "rhythm"}}
     sweep = {"kind": "grid", "axes": {"motion.seed": [1, 2]}}
     SweepSpec.from_dict({"sweep": sweep, "refine": {"method": "none", "rerun": {"experiment": motion}}})
+
+
+@pytest.mark.parametrize(
+    ("axis", "changed"),
+    [("delay", {"delay": 2}), ("tissue", {"tissue": {"kind": "kelvin-voigt"}}), ("physics", {"physics": "wam"})],
+)
+def test_what_rows_give_no_rerun_changes(axis: str, changed: dict[str, object]) -> None:
+    """The rerun would be on what the rows had before."""
+    values = {"delay": [1, 2], "tissue": ["elastic", "kelvin-voigt"], "physics": ["linear", "wam"]}
+    name = "tissue.kind" if axis == "tissue" else axis
+    sweep = {"kind": "grid", "axes": {name: values[axis]}}
+    experiment = {"published": "table-1-wam" if axis == "tissue" else "table-1"}
+    refine = {"method": "none", "rerun": {"experiment": changed}}
+    with pytest.raises(InputError, match=rf"refine\.rerun\.experiment\.{name}.*leave it out of one"):
+        SweepSpec.from_dict({"experiment": experiment, "sweep": sweep, "refine": refine})
+
+
+def test_a_seed_is_an_axis_as_toml_has_it(write_spec: Write) -> None:
+    """There it is a table with the one key "seed", which a range has, too."""
+    text = '[experiment]\npublished = "table-1"\nmotion = { kind = "rhythm", rhythm = "premature" }\n'
+    spec = SweepSpec.from_toml(write_spec(f'{text}[sweep]\nkind = "grid"\n[sweep.axes]\nmotion.seed = [1, 2, 3]\n'))
+    assert [(axis.name, axis.values) for axis in spec.space.axes] == [("motion.seed", (1, 2, 3))]
+
+
+def test_what_is_counted_is_drawn_in_whole_numbers() -> None:
+    axes = {"disturbance_order": {"linear": [1, 2]}, "designed_delay": {"linear": [1, 2]}}
+    space = SweepSpec.from_dict({"sweep": {"kind": "random", "rows": 20, "axes": axes}}).space
+    for axis in space.axes:
+        assert set(axis.draw(np.linspace(0.0, 0.999, 20))) == {1.0, 2.0}
 
 
 GALLERY = sorted((Path(__file__).parents[2] / "docs" / "gallery").glob("*.toml"))

@@ -6,7 +6,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from jaxmpc.files.errors import InputError
+from sweeps.spec import SweepSpec
 
 Write = Callable[[str], Path]
 Command = Callable[..., int]
@@ -171,6 +175,12 @@ def test_recordings_are_looked_for_beside_the_spec(
     listed = "b.csv" in axis
     assert command("sweep", spec, "--dry-run") == (0 if listed else 2), capsys.readouterr().err
     assert listed or "motion.file" in capsys.readouterr().err
+
+
+def test_a_wrong_value_among_hundreds_is_refused_before_it_loses_the_others() -> None:
+    stiffness = [*np.linspace(100.0, 300.0, 200).tolist(), -5.0, *np.linspace(301.0, 500.0, 200).tolist()]
+    with pytest.raises(InputError, match=r"sweep\.axes\.stiffness = .*-5"):
+        SweepSpec.from_dict({"sweep": {"kind": "grid", "axes": {"stiffness": stiffness}}})
 
 
 def test_a_vector_and_its_entry_are_not_both_swept(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import ceil
 from typing import NamedTuple, get_args
 
 import msgspec
@@ -84,7 +85,9 @@ class Job:
             raise InputError("physics", self.base.physics, '"wam" for trials', "Take table-1-wam, or set it so.")
         if not 0 <= self.seed < 10**9:
             raise InputError("seed", self.seed, "in [0, 1e9)", "Any other number draws other trials.")
-        arm = replace(self.base.arm, substeps=max(self.base.arm.substeps, self.spread.substeps))
+        # Those of the spread are for 1 ms.
+        resolving = ceil(self.spread.substeps * max(1.0, self.base.sampling_time / 1e-3) - 1e-9)
+        arm = replace(self.base.arm, substeps=max(self.base.arm.substeps, resolving))
         short = replace(self.base, duration=DURATION, settle=SETTLE, arm=arm)
         object.__setattr__(self, "base", short)
 
