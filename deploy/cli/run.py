@@ -41,6 +41,10 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("artifact", args.artifact, "an existing file", remedy)
     check_kind(args.artifact)
     check_file("--bus-log", args.bus_log)
+    if args.bus_log is not None and args.bus_log.is_file() and args.bus_log.stat().st_size:
+        raise InputError(
+            "--bus-log", args.bus_log, "a new file", "It exists, and nothing is written over: choose another."
+        )
     key = None if args.require_signature is None else public_key(args.require_signature)
     try:
         data = read(args.artifact)

@@ -20,7 +20,10 @@ ONE_PROGRAM = ("slcan", "serial", "robotell")
 """Interfaces of python-can that are a serial line, which two programs read to pieces."""
 OF_THE_TWIN: Mapping[str, Any] = {"experiment": None, "stiffness": None, "rhythm": None, "fault": [], "seed": 0}
 """Arguments of a twin in this process, and what they are where nobody gives them."""
-OF_THE_BUS: Mapping[str, Any] = {"interface": None, "channel": None, "cpu": None, "home": False}
+OF_THE_BUS: Mapping[str, Any] = {
+    **{"interface": None, "channel": None, "bitrate": None, "timing": None, "bus_kwargs": {}},
+    **{"cpu": None, "home": False},
+}
 """Those of a bus and of the computer on it."""
 CONTACTS = {"approach_speed": (0.1, 50.0), "approach_limit": (1.0, 200.0), "retract": (1.0, 200.0)}
 """Bounds [mm/s], [mm], [mm]."""
@@ -101,7 +104,7 @@ def check(args: argparse.Namespace) -> None:
         if (given := getattr(args, name, nothing)) != nothing:
             bound = "left out with --lockstep" if args.lockstep else "given with --lockstep"
             said = " ".join(given) if isinstance(given, list) else given
-            raise InputError(f"--{name}", said, bound, remedy)
+            raise InputError(f"--{name.replace('_', '-')}", said, bound, remedy)
     if not args.lockstep:
         check_flags(args)
     for name, (low, high) in CONTACTS.items():

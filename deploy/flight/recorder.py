@@ -199,7 +199,7 @@ def read(path: Path | str) -> FlightRecording:
     lengths = {array.shape[0] if array.ndim == 2 else -1 for array in signals.values()}
     if any(array.dtype != np.float64 for array in signals.values()) or len(lengths) > 1 or lengths == {-1}:
         raise RecordingError(f"{path}: its arrays are not tables of float64 of the same length")
-    for name, (width, _) in SIMULATED.items():
+    for name, (width, _) in COLUMNS.items():
         if name in signals and signals[name].shape[1] != width:
             raise RecordingError(f"{path}: {name} has {signals[name].shape[1]} columns, not {width}")
     return FlightRecording(header, signals)

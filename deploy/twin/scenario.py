@@ -4,10 +4,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from deploy.twin.settings import TwinSettings
-from jaxmpc.experiment.tables import ArmSettings, TissueSettings
+from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys, located, read_toml
 from jaxmpc.world.heart.motion import Motion
@@ -112,6 +113,13 @@ def unlike_the_simulation(experiment: str | None, rhythm: str | None) -> list[st
     return found
 
 
+class _Loop(Struct):
+    """What of an experiment stands in no table."""
+
+    stiffness: tuple[float, ...] = ()
+    delay: int = 1
+
+
 def _of_experiment(name: str) -> dict[str, Any]:
     """Settings of the world in an experiment; of the controller's share in it the twin knows nothing."""
     path = _file_of(name)
@@ -125,10 +133,11 @@ def _of_experiment(name: str) -> dict[str, Any]:
             motion = replace(motion, file=str(path.parent / motion.file), repeat=True)
         settings: dict[str, Any] = {"tissue": tissue, "motion": motion, "posture": arm.resting()}
         settings |= {key: getattr(arm, key) for key in ARM}
-        sensor = {key: data.get("sensor", {}).get(key) for key in SENSOR}
-        settings |= {key: tuple(value) if key == "lsb" else value for key, value in sensor.items() if value is not None}
-        settings |= {"stiffness": float(data["stiffness"][0])} if data.get("stiffness") else {}
-        return settings | ({"delay": data["delay"]} if "delay" in data else {})
+        sensor: SensorSettings = _table(data, "sensor", SensorSettings)
+        settings |= {key: getattr(sensor, key) for key in SENSOR if key in data.get("sensor", {})}
+        loop = convert({key: data[key] for key in ("stiffness", "delay") if key in data}, _Loop, "")
+        settings |= {"stiffness": loop.stiffness[0]} if loop.stiffness else {}
+        return settings | ({"delay": loop.delay} if "delay" in data else {})
 
 
 def _file_of(experiment: str) -> Path:

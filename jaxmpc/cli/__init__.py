@@ -72,8 +72,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Of a process that was started without them, as by some schedulers.
     sys.stdout = sys.stdout or open(os.devnull, "w")
     sys.stderr = sys.stderr or open(os.devnull, "w")
-    for stream in (sys.stdout, sys.stderr):
-        # A terminal that cannot show ≤ shows ?; it is no reason to stop.
+    for stream in (sys.stdin, sys.stdout, sys.stderr):
+        # A terminal that cannot show ≤ shows ?, and a key that is no letter is one all the same; no reason to stop.
         if reconfigure := getattr(stream, "reconfigure", None):
             reconfigure(errors="replace")
     silence_libraries()

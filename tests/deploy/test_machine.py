@@ -71,6 +71,20 @@ def test_the_way_up():
     assert now.over
 
 
+@pytest.mark.parametrize("reason", [Reason.FINISHED, Reason.OPERATOR, Reason.OVERSHOOT, Reason.NO_CONTACT])
+def test_a_force_beyond_the_limit_on_the_way_out_is_no_good_end(reason):
+    """A beat may meet the tip while it withdraws, which it goes on to do."""
+    now = step(SafetyState(OperatingState.RETRACT, reason), READY._replace(doubt=Reason.FORCE))
+    assert (now.state, now.reason, task_of(now, 0)) == (OperatingState.RETRACT, Reason.FORCE, Task.RETRACT)
+    now = walk(READY, READY._replace(travelled=True), start=now)
+    assert (now.state, now.reason) == (OperatingState.STOPPED, Reason.FORCE)
+    # Nothing else of the force matters there, and what ended contact before stays told.
+    other = step(SafetyState(OperatingState.RETRACT, reason), READY._replace(doubt=Reason.FORCE_LOST))
+    assert other.reason is reason
+    before = SafetyState(OperatingState.RETRACT, Reason.FORCE_LOST)
+    assert step(before, READY._replace(doubt=Reason.FORCE)).reason is Reason.FORCE_LOST
+
+
 def test_a_touch_must_last():
     touching = READY._replace(touching=True)
     now = walk(

@@ -122,6 +122,7 @@ def contents(**changes):
         ({}, {"q": np.zeros((3, 4), np.float32)}, "float64"),
         ({}, {"q": np.zeros(3)}, "same length"),
         ({}, {"q": np.zeros((3, 5))}, "5 columns, not 4"),
+        ({}, {"state": np.zeros((3, 0))}, "state has 0 columns, not 1"),
     ],
 )
 def test_foreign_files_are_refused(tmp_path, change, arrays, text):

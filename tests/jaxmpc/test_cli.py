@@ -1,5 +1,6 @@
 """The command line: exit codes, one sentence for wrong input, nothing written then; freeze end to end."""
 
+import io
 import os
 import subprocess
 import sys
@@ -314,6 +315,14 @@ def test_film_shows_the_run_at_the_row_asked_for(tmp_path: Path) -> None:
     heart, arm = (red > 90) & (red > 1.8 * green) & (red > 1.8 * blue), np.minimum(np.minimum(red, green), blue) > 215
     assert (heart.sum(axis=(1, 2)) > 2000).all()
     assert (arm.sum(axis=(1, 2)) > 2000).all()
+
+
+def test_a_key_that_is_no_letter_is_one_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a terminal's bytes are held to UTF-8, one that is none would end the thread that listens for Enter."""
+    keys = io.TextIOWrapper(io.BytesIO(b"\xe9\n\n"), encoding="utf-8", errors="strict")
+    monkeypatch.setattr(sys, "stdin", keys)
+    assert main(["list"]) == 0
+    assert list(keys) == ["\ufffd\n", "\n"]
 
 
 def test_xla_is_silenced_before_a_verb_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -153,6 +153,7 @@ def test_without_a_bus_nothing_begins(controller, capsys):
     [
         (("--lockstep", "-i", "virtual"), "--interface"),
         (("--lockstep", "--cpu", "1"), "--cpu"),
+        (("--lockstep", "--bitrate", "500000"), "--bitrate"),
         (("-i", "virtual", "-c", "a", "--fault", "force:stuck@1"), "--fault = force:stuck@1:"),
         (("-i", "virtual", "-c", "a", "--stiffness", "500"), "--stiffness"),
         (("-i", "virtual", "-c", "a", "--experiment", "nosuch.toml"), "--experiment"),
@@ -161,6 +162,28 @@ def test_without_a_bus_nothing_begins(controller, capsys):
 def test_what_would_have_no_effect_is_refused(controller, words, key, capsys):
     assert main(["run", str(controller), *words]) == 2
     assert key in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("stiffness = 900.0", 'stiffness = ["a"]', 'delay = "x"', "delay = true", "sensor = 3"),
+        *("[sensor]\nlsb = 0.006", "[sensor]\nnois = 0.01", '[sensor]\nnoise = "a"'),
+    ],
+)
+def test_an_experiment_that_is_none_is_one_sentence(controller, text, tmp_path, capsys):
+    (tmp_path / "e.toml").write_text(text)
+    assert main(["run", str(controller), "--lockstep", "--experiment", str(tmp_path / "e.toml")]) == 2
+    said = capsys.readouterr().err
+    assert "e.toml:" in said
+    assert said.count("\n") == 1
+
+
+def test_a_bus_log_is_written_over_nothing(controller, tmp_path, capsys):
+    kept = controller.read_bytes()
+    assert main(["run", str(controller), "--lockstep", "--bus-log", str(controller)]) == 2
+    assert "--bus-log" in capsys.readouterr().err
+    assert controller.read_bytes() == kept
 
 
 def test_a_fault_that_never_began_is_told():
