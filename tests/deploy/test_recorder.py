@@ -108,7 +108,8 @@ def test_a_full_disk_is_said_and_the_rows_stay(tmp_path, monkeypatch):
 
 def contents(**changes):
     header = {"schema": "jaxmpc flight recording", "version": 1, "columns": {"time": [1, "s"], "q": [4, "rad"]}}
-    return header | changes, {"time": np.zeros((3, 1)), "q": np.zeros((3, 4))}
+    header["columns"]["state"] = [1, ""]
+    return header | changes, {"time": np.zeros((3, 1)), "q": np.zeros((3, 4)), "state": np.zeros((3, 1))}
 
 
 @pytest.mark.parametrize(
