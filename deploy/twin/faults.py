@@ -68,6 +68,8 @@ WORDS: dict[str, tuple[str, ...]] = {
 """Words of each target."""
 _FORM = "TARGET:WORD[=VALUE][@START[+DURATION]]"
 _LARGEST = {"force": 100.0, "encoder": 2.0**20}
+FULL = 20_000.0
+"""Frames of a second that no bus of 1 Mbit/s can carry, if each has eight bytes, as these have [1/s]."""
 _SOON = 1e-9
 """Times are sums of milliseconds [s]."""
 
@@ -113,6 +115,8 @@ def parse(text: str) -> Fault:
     number = _number(text, value, "its value") if equals else _usual(text, target, word)
     if word in ("lost", "duplicated", "intermittent", "babble", "slow", "delayed", "late") and number < 0.0:
         raise InputError("fault", text, "with a value of 0 or more", f"The form is {_FORM}.")
+    if word == "babble" and number > FULL:
+        raise InputError("fault", text, f"of at most {FULL:g} frames per second", "No more pass a bus of 1 Mbit/s.")
     begin = _number(text, start, "its start") if at else 0.0
     lasts = _number(text, duration, "its duration") if plus else math.inf
     if begin < 0.0 or lasts <= 0.0:

@@ -60,6 +60,7 @@ def test_text_is_a_fault(text, fault):
         ("force:stuck@1+0", "longer than 0 s"),
         ("frames:lost", "with a value"),
         ("frames:late=-1", "0 or more"),
+        ("bus:babble=1e9@5", "at most 20000 frames per second"),
         ("", "TARGET:WORD"),
     ],
 )
