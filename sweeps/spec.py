@@ -1,6 +1,5 @@
 """What is swept, from a TOML file: experiment, base controller, axes, and what makes a row a good one."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_t
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.tissue import LAWS
 from sweeps.goal import MEASURED, SweepGoal, columns_kept
-from sweeps.reading import read_space, stiffness_set
+from sweeps.reading import flattened, read_space, stiffness_set
 from sweeps.space import SweepSpace
 from sweeps.tables import OnError, Precision, RefineTable, SweepTable
 from sweeps.targets import OWN_FILTERS
@@ -208,22 +207,13 @@ def _refine(data: Any, spec: SweepSpec) -> RefineTable:
     swept = [axis.name for axis in spec.space.axes]
     for root, each in changes.items():
         spec.on(each, root)
-        for key in dotted(each):
-            if axis := next((name for name in swept if within(name, key) or within(key, name)), None):
+        for key, _ in flattened(each):
+            if axis := next((name for name in swept if _within(name, key) or _within(key, name)), None):
                 remedy = f"Rows keep what {axis} gave them: leave it out of one of both."
                 raise InputError(f"{root}.{key}", "changed", "of what is not swept", remedy)
     return table
 
 
-def dotted(changes: dict[str, Any], root: str = "") -> Iterator[str]:
-    """Names of the keys that a change of an experiment sets."""
-    for key, value in changes.items():
-        if isinstance(value, dict):
-            yield from dotted(value, f"{root}{key}.")
-        else:
-            yield f"{root}{key}"
-
-
-def within(name: str, other: str) -> bool:
+def _within(name: str, other: str) -> bool:
     """Whether a dotted name is another, or an entry of it."""
     return f"{name}.".startswith(f"{other}.")

@@ -21,8 +21,13 @@ ONE_PROGRAM = ("slcan", "serial", "robotell")
 OF_THE_TWIN: Mapping[str, Any] = {"experiment": None, "stiffness": None, "rhythm": None, "fault": [], "seed": 0}
 """Arguments of a twin in this process, and what they are where nobody gives them."""
 OF_THE_BUS: Mapping[str, Any] = {
-    **{"interface": None, "channel": None, "bitrate": None, "timing": None, "bus_kwargs": {}},
-    **{"cpu": None, "home": False},
+    "interface": None,
+    "channel": None,
+    "bitrate": None,
+    "timing": None,
+    "bus_kwargs": {},
+    "cpu": None,
+    "home": False,
 }
 """Those of a bus and of the computer on it."""
 CONTACTS = {"approach_speed": (0.1, 50.0), "approach_limit": (1.0, 200.0), "retract": (1.0, 200.0)}

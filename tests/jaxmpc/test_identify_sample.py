@@ -1,5 +1,6 @@
 """The sample recording: it comes with the program, is what the twin makes, and tells of the twin's friction."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import msgspec
@@ -14,7 +15,7 @@ from jaxmpc.experiment.tables import ArmSettings
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import read_toml
 from jaxmpc.identify.friction_fit import smooth
-from jaxmpc.identify.identification import identify, read_recording, write
+from jaxmpc.identify.identification import HEAVIEST, LIGHTEST, identify, read_recording, write
 
 
 def test_it_is_the_twins() -> None:
@@ -53,6 +54,12 @@ def test_friction_is_never_less_than_none(tmp_path: Path) -> None:
     table = read_toml(tmp_path / "friction.toml")["arm"]
     arm = msgspec.convert(table, ArmSettings)
     assert 0.0 <= min(arm.viscous) < 1e-6
+
+
+def test_masses_that_are_taken_are_those_that_an_experiment_can_have() -> None:
+    for mass_scale, taken in ((LIGHTEST, True), (0.99 * LIGHTEST, False), (0.99 * HEAVIEST, True), (HEAVIEST, False)):
+        with nullcontext() if taken else pytest.raises(msgspec.ValidationError):
+            msgspec.convert({"mass_error": 1.0 / mass_scale - 1.0}, ArmSettings)
 
 
 def test_degrees_and_torques_of_the_other_sign_are_told() -> None:

@@ -93,6 +93,12 @@ def test_without_a_heart_the_least_is_the_noise_itself() -> None:
     assert 0.010 * (1.0 - 1e-4) <= least_of_all.rms <= 0.010 * 1.01
 
 
+def test_a_sensor_without_noise_is_as_one_with_hardly_any() -> None:
+    """Noise is also the solver's unit, which must not be nothing."""
+    none, some = (least(white(1.0, noise), loop_path(), 810.0, "x").reached.rms for noise in (0.0, 1e-6))
+    assert 0.0 < none == pytest.approx(some, rel=1e-3)
+
+
 @pytest.mark.parametrize("density", [0.01, 1.0])
 def test_without_bounds_it_is_the_linear_quadratic_gaussian_optimum(density: float) -> None:
     K_s, sigma = 810.0, 0.01

@@ -20,6 +20,7 @@ from tuning.reports.page import html_report
 from tuning.reports.text import report
 
 HISTORY = "history.png"
+"""Picture of the way to a result."""
 
 
 def write(result: TuneResult, folder: Path, way: Future[None]) -> None:
