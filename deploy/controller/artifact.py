@@ -63,12 +63,12 @@ class Artifact:
     def __post_init__(self) -> None:
         gains = frozen_gains.checked(self.gains)
         if gains.guard is not None and self.arm is None:
-            remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
+            remedy = "Freeze it with an experiment on the arm: `--experiment table-1-wam`."
             raise InputError("guard", "given", "left out where no arm is driven", remedy)
         if (gains.schedule is None) != (self.family is None):
             raise InputError("family", self.family, "given for a controller with a schedule, and for no other", AGAIN)
         if gains.schedule is not None and self.arm is None:
-            remedy = "Freeze it with an experiment on the arm, such as family-wam."
+            remedy = "Freeze it with an experiment on the arm: `--experiment family-wam`."
             raise InputError("schedule", "given", "left out where no arm is driven", remedy)
         if not isinstance(self.preview, bool):
             raise InputError("preview", self.preview, "true or false", "Say whether the future reference is known.")

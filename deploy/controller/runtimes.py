@@ -31,7 +31,7 @@ def flown_controller(artifact: Artifact) -> tuple[Controller, bool]:
     """
     arm = artifact.arm
     if arm is None:
-        remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
+        remedy = "Freeze it with an experiment on the arm: `--experiment table-1-wam`."
         raise InputError("kind", artifact.kind, "wam: a linear controller only replays", remedy)
     T_s = artifact.T_s
     measurement = Measurement(T_s, lowpass_pole(artifact.loop.velocity_cutoff, T_s, FLOATS))

@@ -4,7 +4,9 @@ With x the tip, n the contact normal (from tissue to air) and x_d a reference th
 
     a = −k_p e − k_i ∫e − k_d (ẋ − ẋ_d),   e = x − x_d
 
-made torque by the same computed torque as in contact, so nothing jumps where one hands over to the other.
+made torque by the same computed torque as in contact, so nothing jumps where one hands over to the other. A servo is
+stiff: while the tip still presses, a beat that rises against it adds up to 6 N. So contact that is to end as planned
+ends under the law, which lets the force down and lifts the tip off before the servo takes it.
 """
 
 import math
@@ -23,6 +25,14 @@ STIFFNESS, INTEGRAL, DAMPING = 900.0, 6750.0, 67.5
 """k_p [1/s²], k_i [1/s³], k_d [1/s]: poles near 22 rad/s, slow beside the sampling, fast beside what is asked for."""
 LARGEST_ERROR = 0.02
 """Bound on e and on its integral's share in a [m]: a servo that is held back must not pull ever harder."""
+EASING = 10.0
+"""Rate at which the force is let down where contact is to end [N/s]."""
+PULL = 0.5
+"""Force that is wanted in the end, away from the tissue [N]: without resistance it lifts the tip."""
+LIFTED = 20
+"""Cycles in a row in which it does not press that make it lifted: a beat that falls away relieves it for fewer."""
+LEAVING = 0.5
+"""How much longer than the way to that force a tissue may hold the tip before the servo takes it away [s]."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,8 @@ class TaskController:
         self._source, self._T_s = source, T_s
         self._limits: dict[str, Any] = {"ahead": ahead, **stream}
         self._stream: Stream | None = None
-        self._samples = 0
+        self._samples = self._free = 0
+        self._leaving = math.inf
         self._task = Task.OFF
         self._reference, self._start, self._sum = NONE, NONE, NONE
 
@@ -141,6 +152,27 @@ class TaskController:
         """Whether the force is that of a contact: a tissue that holds the tip may as well pull, or drag it aside."""
         return force is not None and math.hypot(*force) > self.contacting.threshold
 
+    def leave(self, force: Vector3 | None) -> bool:
+        """Let the force down, from the first call on; whether the tip is off the tissue, or must be taken away.
+
+        Args:
+            force: Measured on the tissue [N]; None where there is none to trust.
+        """
+        if self._stream is None:
+            return True
+        if not self.leaving:
+            pull = _plus(NONE, PULL, self.contacting.normal)
+            self._stream.release(pull, EASING)
+            self._leaving = self.contact_time + math.dist(self.force_ref, pull) / EASING + LEAVING
+        pressing = force is None or -self.along(NONE, force) > self.contacting.threshold
+        self._free = 0 if pressing else self._free + 1
+        return self._free >= LIFTED or self.contact_time >= self._leaving
+
+    @property
+    def leaving(self) -> bool:
+        """Whether the source is not followed any more, since contact is to end."""
+        return self._leaving < math.inf
+
     @property
     def contact_time(self) -> float:
         """Time for which the cascade has been in control [s]."""
@@ -154,7 +186,7 @@ class TaskController:
         """Enter contact without a bump: observers start at the measured force, and so does the wanted one."""
         self.runtime.enter(force, q)
         self._stream = Stream(self._source, self._T_s, force, **self._limits)
-        self._samples = 0
+        self._samples, self._free, self._leaving = 0, 0, math.inf
 
     def _control(self, q: Vector4, qd: Vector4, force: Vector3 | None) -> Vector4:
         assert self._stream is not None

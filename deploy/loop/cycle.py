@@ -78,7 +78,7 @@ class Cycle:
 
     Attributes:
         watch: What is known of the force sensor's truth.
-        pushes: The largest in contact.
+        pushes: The largest in contact and on the way out.
     """
 
     def __init__(
@@ -126,6 +126,7 @@ class Cycle:
         self._saturated: int | None = None  # flags of gauges stay set: those of the first reading are of the past
         self.watch = ForceWatch(controller, estimate, deepest, T_s)
         self._age, self._hazards, self.pushes = [0] * 4, Hazards(arm, T_s), Pushes()
+        self._finish = Reason.NONE
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
 
@@ -156,9 +157,11 @@ class Cycle:
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
         state = self.safety_state.state
+        if state is OperatingState.CONTACT:
+            command = command._replace(finish=self._ended(command.finish, force))
         if state is OperatingState.ARMED and self._posture is not None and (where := displaced(q, self._posture)):
             doubt, detail = Reason.POSTURE, detail or where
-        if state is OperatingState.CONTACT and force is not None:
+        if state in (OperatingState.CONTACT, OperatingState.RETRACT) and force is not None:
             asked = self._push(self.controller.force_ref) + self._push(runtime.dither)
             self.pushes = pushed(self.pushes, asked, self._push(force))
         if command.finish is Reason.FINISHED and self.pushes.beyond(self.limits.overshoot):
@@ -176,6 +179,12 @@ class Cycle:
         )
         self.safety_state = machine.step(self.safety_state, observed)
         return self._send(q, qd, kinematics, force, age)
+
+    def _ended(self, asked: Reason, force: Vector3 | None) -> Reason:
+        """Reason for which contact is over: that which was asked for, once the tip is off the tissue."""
+        self._finish = asked if asked is not Reason.NONE else self._finish
+        over = self._finish is not Reason.NONE and self.controller.leave(force)
+        return self._finish if over else Reason.NONE
 
     def _push(self, force: Vector3) -> float:
         """Push into the tissue [N]."""

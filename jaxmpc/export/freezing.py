@@ -71,15 +71,15 @@ def freeze_controller(
     """
     on_arm = experiment.physics != "linear"
     if limits is not None and not on_arm:
-        remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
+        remedy = "Freeze it with an experiment on the arm: `--experiment table-1-wam`."
         raise InputError("--limits", limits, "given for an arm only", remedy)
     if ideal and on_arm:
         raise InputError("--ideal", experiment.name, "left out on the arm", "No arm has ideal damping.")
     if params.guarded and not on_arm:
-        remedy = "Freeze it with an experiment on the arm, such as table-1-wam."
+        remedy = "Freeze it with an experiment on the arm: `--experiment table-1-wam`."
         raise InputError("guarded", params.guarded, "false where no arm is driven", remedy)
     if params.listening is not None and not on_arm:
-        remedy = "Freeze it with an experiment on the arm, such as family-wam."
+        remedy = "Freeze it with an experiment on the arm: `--experiment family-wam`."
         raise InputError("knots", f"{len(params.knots)} of them", "none where no arm is driven", remedy)
     arm = nominal_arm(experiment, limits) if on_arm else None
     own_cutoff = None if params.velocity_cutoff is None else float(params.velocity_cutoff)
