@@ -189,8 +189,7 @@ def _watched(
         if now.state is OperatingState.ARMED and now.cycles == ACTIVATED:
             twin.press("activate")
         if now.state is OperatingState.CONTACT:
-            if not controller.leaving:
-                residuals.add(controller.contact_time, controller.force_ref, result.force, twin.truth().force)
+            residuals.add(controller.contact_time, controller.force_ref, result.force, twin.truth().force)
             if controller.contact_time >= due:
                 say(f"{due:g} of {args.duration:g} s in contact")
                 due += TOLD_EVERY

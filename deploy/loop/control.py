@@ -4,9 +4,9 @@ With x the tip, n the contact normal (from tissue to air) and x_d a reference th
 
     a = −k_p e − k_i ∫e − k_d (ẋ − ẋ_d),   e = x − x_d
 
-made torque by the same computed torque as in contact, so nothing jumps where one hands over to the other. A servo is
-stiff: while the tip still presses, a beat that rises against it adds up to 6 N. So contact that is to end as planned
-ends under the law, which lets the force down and lifts the tip off before the servo takes it.
+on the way out with k_f added along n for each newton that the tip presses beyond what it may still press, since a servo
+is stiff: a beat that rises against it would press half as much again, or twice, before it gives way. That is made
+torque by the same computed torque as in contact, so nothing jumps where one hands over to the other.
 """
 
 import math
@@ -25,14 +25,10 @@ STIFFNESS, INTEGRAL, DAMPING = 900.0, 6750.0, 67.5
 """k_p [1/s²], k_i [1/s³], k_d [1/s]: poles near 22 rad/s, slow beside the sampling, fast beside what is asked for."""
 LARGEST_ERROR = 0.02
 """Bound on e and on its integral's share in a [m]: a servo that is held back must not pull ever harder."""
-EASING = 10.0
-"""Rate at which the force is let down where contact is to end [N/s]."""
-PULL = 0.5
-"""Force that is wanted in the end, away from the tissue [N]: without resistance it lifts the tip."""
-LIFTED = 20
-"""Cycles in a row in which it does not press that make it lifted: a beat that falls away relieves it for fewer."""
-LEAVING = 0.5
-"""How much longer than the way to that force a tissue may hold the tip before the servo takes it away [s]."""
+YIELDING, LARGEST_PUSH = 3.0, 5.0
+"""k_f [m/s² per N], and how much more push adds no more [N]: on 2 kN/m it gives way like a spring of 77 rad/s."""
+LETTING_UP = 40.0
+"""Rate at which the push that it may still press falls from that at the beginning to none [N/s]."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +76,10 @@ class TaskController:
         self._source, self._T_s = source, T_s
         self._limits: dict[str, Any] = {"ahead": ahead, **stream}
         self._stream: Stream | None = None
-        self._samples = self._free = 0
-        self._leaving = math.inf
+        self._samples = 0
         self._task = Task.OFF
         self._reference, self._start, self._sum = NONE, NONE, NONE
+        self._allowed = 0.0
 
     def torque(
         self,
@@ -126,7 +122,8 @@ class TaskController:
         )
         if task is Task.RETRACT and self.travelled(tip):
             speed = 0.0
-        return self._servo(speed, q, qd, tip, tip_velocity, force or NONE)
+        away = self._yielding(entered, force or NONE) if task is Task.RETRACT else 0.0
+        return self._servo(speed, away, q, qd, tip, tip_velocity, force or NONE)
 
     def travelled(self, tip: Vector3) -> bool:
         """Whether the approach or the retraction has gone as far as it may."""
@@ -148,30 +145,13 @@ class TaskController:
         """Distance from one point to another along the contact normal [m]."""
         return sum(n * (b - a) for n, a, b in zip(self.contacting.normal, start, end, strict=True))
 
+    def push(self, force: Vector3) -> float:
+        """Push into the tissue of a force on it [N]."""
+        return -self.along(NONE, force)
+
     def touching(self, force: Vector3 | None) -> bool:
         """Whether the force is that of a contact: a tissue that holds the tip may as well pull, or drag it aside."""
         return force is not None and math.hypot(*force) > self.contacting.threshold
-
-    def leave(self, force: Vector3 | None) -> bool:
-        """Let the force down, from the first call on; whether the tip is off the tissue, or must be taken away.
-
-        Args:
-            force: Measured on the tissue [N]; None where there is none to trust.
-        """
-        if self._stream is None:
-            return True
-        if not self.leaving:
-            pull = _plus(NONE, PULL, self.contacting.normal)
-            self._stream.release(pull, EASING)
-            self._leaving = self.contact_time + math.dist(self.force_ref, pull) / EASING + LEAVING
-        pressing = force is None or -self.along(NONE, force) > self.contacting.threshold
-        self._free = 0 if pressing else self._free + 1
-        return self._free >= LIFTED or self.contact_time >= self._leaving
-
-    @property
-    def leaving(self) -> bool:
-        """Whether the source is not followed any more, since contact is to end."""
-        return self._leaving < math.inf
 
     @property
     def contact_time(self) -> float:
@@ -186,7 +166,7 @@ class TaskController:
         """Enter contact without a bump: observers start at the measured force, and so does the wanted one."""
         self.runtime.enter(force, q)
         self._stream = Stream(self._source, self._T_s, force, **self._limits)
-        self._samples, self._free, self._leaving = 0, 0, math.inf
+        self._samples = 0
 
     def _control(self, q: Vector4, qd: Vector4, force: Vector3 | None) -> Vector4:
         assert self._stream is not None
@@ -196,8 +176,14 @@ class TaskController:
         self.force_ref = (x[0], y[0], z[0]) if isinstance(x, tuple) else wanted
         return self.runtime.control(q, qd, force, wanted)
 
+    def _yielding(self, entered: bool, force: Vector3) -> float:
+        """Acceleration away from the tissue for what the tip presses beyond what it may still press [m/s²]."""
+        push = self.push(force)
+        self._allowed = max(push if entered else self._allowed - LETTING_UP * self._T_s, 0.0)
+        return YIELDING * min(max(push - self._allowed, 0.0), LARGEST_PUSH)
+
     def _servo(
-        self, speed: float, q: Vector4, qd: Vector4, tip: Vector3, tip_velocity: Vector3, force: Vector3
+        self, speed: float, away: float, q: Vector4, qd: Vector4, tip: Vector3, tip_velocity: Vector3, force: Vector3
     ) -> Vector4:
         step = speed * self._T_s
         normal = self.contacting.normal
@@ -206,6 +192,7 @@ class TaskController:
         self._sum = _within(_plus(self._sum, self._T_s, error), LARGEST_ERROR * STIFFNESS / INTEGRAL)
         velocity = _plus(tip_velocity, -speed, normal)
         a = _plus(_plus(_plus(NONE, -STIFFNESS, error), -INTEGRAL, self._sum), -DAMPING, velocity)
+        a = _plus(a, away, normal)
         return self.runtime.servo(q, qd, a, force)
 
 

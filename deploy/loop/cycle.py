@@ -126,7 +126,6 @@ class Cycle:
         self._saturated: int | None = None  # flags of gauges stay set: those of the first reading are of the past
         self.watch = ForceWatch(controller, estimate, deepest, T_s)
         self._age, self._hazards, self.pushes = [0] * 4, Hazards(arm, T_s), Pushes()
-        self._finish = Reason.NONE
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
 
@@ -157,13 +156,12 @@ class Cycle:
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
         state = self.safety_state.state
-        if state is OperatingState.CONTACT:
-            command = command._replace(finish=self._ended(command.finish, force))
         if state is OperatingState.ARMED and self._posture is not None and (where := displaced(q, self._posture)):
             doubt, detail = Reason.POSTURE, detail or where
         if state in (OperatingState.CONTACT, OperatingState.RETRACT) and force is not None:
-            asked = self._push(self.controller.force_ref) + self._push(runtime.dither)
-            self.pushes = pushed(self.pushes, asked, self._push(force))
+            push = self.controller.push
+            asked = push(self.controller.force_ref) + push(runtime.dither)
+            self.pushes = pushed(self.pushes, asked, push(force))
         if command.finish is Reason.FINISHED and self.pushes.beyond(self.limits.overshoot):
             command = command._replace(finish=Reason.OVERSHOOT)
         observed = Observations(
@@ -179,16 +177,6 @@ class Cycle:
         )
         self.safety_state = machine.step(self.safety_state, observed)
         return self._send(q, qd, kinematics, force, age)
-
-    def _ended(self, asked: Reason, force: Vector3 | None) -> Reason:
-        """Reason for which contact is over: that which was asked for, once the tip is off the tissue."""
-        self._finish = asked if asked is not Reason.NONE else self._finish
-        over = self._finish is not Reason.NONE and self.controller.leave(force)
-        return self._finish if over else Reason.NONE
-
-    def _push(self, force: Vector3) -> float:
-        """Push into the tissue [N]."""
-        return -sum(n * each for n, each in zip(self.controller.contacting.normal, force, strict=True))
 
     def _send(self, q: Vector4, qd: Vector4, kinematics: TipKinematics, force: Vector3 | None, age: int) -> CycleResult:
         """Result with the frame of the task, or of the lesser task that a refusal leads to."""

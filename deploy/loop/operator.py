@@ -81,7 +81,7 @@ class Operator:
             keys: Whether Enter on standard input lets it begin, and then ends it.
         """
         self._console, self._signals, self._contact_time, self._duration = console, signals, contact_time, duration
-        self._start, self._stop, self._ending = start, False, False
+        self._start, self._stop = start, False
         self._shown: tuple[OperatingState, Reason, Task] | None = None
         self._state = OperatingState.IDLE
         if keys:
@@ -102,11 +102,7 @@ class Operator:
         if (showing := (now.state, now.reason, result.task)) != self._shown:
             self._shown, self._state = showing, now.state
             self._console.say(_line(result))
-        command = self.command
-        if now.state is OperatingState.CONTACT and command.finish is not Reason.NONE and not self._ending:
-            self._ending = True
-            self._console.say(f"contact ends ({command.finish}): the force is let down, then the tip is lifted off")
-        return command
+        return self.command
 
     def _listen(self) -> None:
         for _ in sys.stdin:

@@ -48,7 +48,6 @@ class Stream:
                 raise InputError(key, value, "positive and finite", "It is what keeps the wanted force from jumping.")
         self._source, self._T_s, self._step, self._largest = source, T_s, rate * T_s, largest
         self._ahead = ahead
-        self._released: Vector3 | None = None
         self._force = start if math.isfinite(sum(start)) else (0.0, 0.0, 0.0)
         self._sample = 0
         self._axes = tuple(deque([value] * max(ahead, 1), maxlen=max(ahead, 1)) for value in self._force)
@@ -72,22 +71,13 @@ class Stream:
         x, y, z = self._axes
         return (tuple(x), tuple(y), tuple(z)) if self._ahead else self._force
 
-    def release(self, force: Vector3, rate: float) -> None:
-        """Follow the source no more: go to a force [N] and stay there.
-
-        Args:
-            force: As the last one that is wanted.
-            rate: Change of the vector per time on the way there [N/s].
-        """
-        self._released, self._step = force, rate * self._T_s
-
     def notes(self) -> list[str]:
         """What the source has to say."""
         return self._source.notes()
 
     def _advance(self) -> None:
         self._sample += 1
-        x, y, z = self._released or self._source.wanted(self._sample * self._T_s)
+        x, y, z = self._source.wanted(self._sample * self._T_s)
         size = math.hypot(x, y, z)
         if not math.isfinite(size):
             x, y, z = self._force

@@ -6,7 +6,7 @@
 A safety state only ever moves along these arrows. RETRACT, STOPPED and FAULT never lead back: whoever wants to go on
 starts anew, with arming and the pendant. Each way down carries its reason; nothing here raises. Every state looks at
 every hazard and at the operator, and none lasts for ever: IDLE and ARMED have their patience, APPROACH and RETRACT end
-by how far they have asked the tip to go, CONTACT by the run's duration and the time that letting the force down takes.
+by how far they have asked the tip to go, CONTACT by the run's duration.
 """
 
 from enum import StrEnum
@@ -191,7 +191,7 @@ def _next(now: SafetyState, observed: Observations) -> tuple[OperatingState, Rea
     if state is OperatingState.RETRACT and reason in _UNHURT and observed.doubt is Reason.FORCE:
         return state, Reason.FORCE  # a beat met the tip on its way out
     if state is OperatingState.RETRACT and reason is Reason.FINISHED and observed.finish is Reason.OVERSHOOT:
-        return state, Reason.OVERSHOOT  # and more weakly here
+        return state, Reason.OVERSHOOT  # the same, below the limit
     if state is OperatingState.RETRACT and observed.travelled:
         return OperatingState.STOPPED, reason
     return state, reason

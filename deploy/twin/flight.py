@@ -1,6 +1,6 @@
 """One flight in lock-step against the twin, with what the twin alone knows beside the recording.
 
-start ─► armed ─► pendant pressed ─► approach ─► contact, for so long ─► let down ─► retract
+start ─► armed ─► pendant pressed ─► approach ─► contact, for so long ─► retract
 """
 
 import hashlib
@@ -36,7 +36,7 @@ APPROACHING = 20.0
 
 @dataclass(frozen=True)
 class TwinFlight:
-    """What came of it; rows are cycles in contact, as long as the reference is followed."""
+    """What came of it; rows are cycles in contact."""
 
     ended: RunResult
     said: str
@@ -122,8 +122,7 @@ def fly(controller: Path, settings: TwinSettings, reference: str, seconds: float
     truth: list[Truth] = []
 
     def each(result: CycleResult) -> OperatorCommand:
-        held = result.safety_state.state is OperatingState.CONTACT and not session.controller.leaving
-        contact.append(held)
+        contact.append(result.safety_state.state is OperatingState.CONTACT)
         if contact[-1]:
             truth.append(clock.twin.truth())
         return pilot(result)

@@ -85,6 +85,16 @@ def test_a_force_beyond_the_limit_on_the_way_out_is_no_good_end(reason):
     assert step(before, READY._replace(doubt=Reason.FORCE)).reason is Reason.FORCE_LOST
 
 
+def test_a_push_much_beyond_the_wanted_one_on_the_way_out_is_told():
+    more = READY._replace(finish=Reason.OVERSHOOT)
+    now = step(SafetyState(OperatingState.RETRACT, Reason.FINISHED), more)
+    assert (now.state, now.reason, task_of(now, 0)) == (OperatingState.RETRACT, Reason.OVERSHOOT, Task.RETRACT)
+    assert step(now, READY._replace(doubt=Reason.FORCE)).reason is Reason.FORCE
+    # What ended contact otherwise stays told.
+    for reason in (Reason.OPERATOR, Reason.FORCE_LOST):
+        assert step(SafetyState(OperatingState.RETRACT, reason), more).reason is reason
+
+
 def test_a_touch_must_last():
     touching = READY._replace(touching=True)
     now = walk(
