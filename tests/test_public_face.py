@@ -39,7 +39,9 @@ def tuned() -> tuning.TuneResult:
     found = Margins(
         *np.full((len(Margins._fields) - 1, 2, len(JOB.judged_at)), 1.5), np.zeros((2, len(JOB.judged_at)), int)
     )
-    return tuning.TuneResult(JOB, Params.published("cautious"), True, held, {"as run": found, "ideal": found}, [], {})
+    return tuning.TuneResult(
+        JOB, Params.published("cautious"), True, {"as run": found, "ideal": found}, (None, None), [], {}, held
+    )
 
 
 MADE: dict[str, Callable[[], Any]] = {

@@ -9,7 +9,8 @@ from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
 from tuning.job.spec import TuneSpec
 from tuning.proof.ahead import programs
-from tuning.proof.result import TuneResult, assess
+from tuning.proof.result import TuneResult, assess, assess_and
+from tuning.reports.explained import study
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.files import HISTORY, write
 from tuning.reports.text import report
@@ -56,6 +57,6 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
         return assess(history, progress)
     with Beside(1) as beside:
         way = beside.submit(history_figure, history, place / HISTORY)
-        result = assess(history, progress)
-        write(result, place, way)
+        result, found = assess_and(study, history, progress)
+        write(result, found, place, way)
     return result

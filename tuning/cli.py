@@ -3,6 +3,7 @@
 import argparse
 import sys
 import textwrap
+import threading
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,6 +39,10 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
+    import jax
+
+    # A GPU takes seconds to begin, and what is read before it computes needs none.
+    threading.Thread(target=jax.devices, daemon=True).start()
     from msgspec.structs import replace
 
     from jaxmpc.engine.registry import named

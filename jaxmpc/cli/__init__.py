@@ -12,7 +12,7 @@ from jaxmpc.files.errors import InputError, nearest, plain
 from jaxmpc.terminal.folding import folded_output
 from jaxmpc.terminal.interruption import always_heard
 from jaxmpc.terminal.parser import CommandParser
-from jaxmpc.terminal.process import silence_libraries
+from jaxmpc.terminal.process import one_thread_for_blas, silence_libraries
 
 
 class Verb(NamedTuple):
@@ -77,6 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if reconfigure := getattr(stream, "reconfigure", None):
             reconfigure(errors="replace")
     silence_libraries()
+    one_thread_for_blas()
     with folded_output(), always_heard():
         return _main(argv)
 

@@ -9,6 +9,15 @@ from typing import Any, NamedTuple
 from jaxmpc.files.errors import InputError
 
 
+def one_thread_for_blas() -> None:
+    """Keep the BLAS of NumPy and SciPy from threads of its own, unless the user has said how many.
+
+    Their matrices are small here, of a dozen rows, and many threads of Python multiply them at once. The number is read
+    when NumPy is first imported.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def silence_libraries() -> None:
     """Keep remarks from the middle of a progress bar: XLA's of slow compiling, matplotlib's of a home without a cache.
 

@@ -72,7 +72,7 @@ def result(small: Job) -> TuneResult:
     steps = [Step("linear", problem, state)]
     margins = {"as run": found, "ideal": found}
     params = spec.space.exact(state.leader_z)
-    return TuneResult(spec, params, True, heldout, margins, steps, {1: 0.5, 2: 0.7})
+    return TuneResult(spec, params, True, margins, (None, None), steps, {1: 0.5, 2: 0.7}, heldout)
 
 
 def _values(hard: float, judged: int) -> Any:

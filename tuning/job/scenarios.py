@@ -1,8 +1,10 @@
 """What a controller may meet: one seed draws rhythm, phases, friction, masses, delay and noise of one scenario."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Annotated, Any, Literal
 
+import jax
 import msgspec
 import numpy as np
 
@@ -28,6 +30,8 @@ RHYTHMS = (
 """The experiment's own motion, the rhythms of `world.rhythm`, and two events of the ventilation."""
 STREAM = 7
 """Stream of the random numbers of a scenario, apart from those of its motion and noise."""
+KEPT = 48
+"""Scenarios whose arrays are kept: 5 MB each of 25 s on the arm."""
 EVENT_AFTER = 0.2
 """Where in the scored part a rate step, hold or cough begins if it would come too late otherwise [-]."""
 
@@ -114,7 +118,12 @@ def scenarios(base: Experiment, settings: Scenarios, seeds: Sequence[int]) -> li
 
 def scene_over(experiments: Sequence[Experiment], swinging: bool = True) -> ScenarioData:
     """Several scenarios of one experiment as one scene, each with axes of its own; rest as for `scenario_data`."""
-    return side_by_side([scenario_data(experiment, swinging) for experiment in experiments])
+    return side_by_side([_data(experiment, swinging, jax.config.jax_enable_x64) for experiment in experiments])
+
+
+@lru_cache(maxsize=KEPT)  # what is compiled ahead for a proof is met again in it
+def _data(experiment: Experiment, swinging: bool, _in_float64: bool) -> ScenarioData:
+    return scenario_data(experiment, swinging)
 
 
 def describe(experiment: Experiment) -> str:

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from tuning.job.goals import GOALS
 from tuning.objective.loss import PENALTY, Values
 from tuning.objective.problem import Problem
-from tuning.proof.result import TuneResult
+from tuning.proof.found import FoundController
 from tuning.search.mapping import corrected_at
 
 FACTOR = 1e3
@@ -39,7 +39,7 @@ class Slope(NamedTuple):
     """Its values at the other vectors."""
 
 
-def sloped(result: TuneResult, z: np.ndarray) -> Problem:
+def sloped(result: FoundController, z: np.ndarray) -> Problem:
     """The job, with slopes, at a vector that the last step has seen: by runs, or by spectra as a run corrects them."""
     step = result.steps[-1]
     return step.problem if step.spectra is None else corrected_at(step.spectra, step.state.memory, z)

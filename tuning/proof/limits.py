@@ -15,8 +15,8 @@ from jaxtyping import Float
 
 from jaxmpc.xla.precision import in_float64
 from tuning.job.goals import margin_goals
+from tuning.proof.found import FoundController, place_of
 from tuning.proof.gradients import SCORE, Slope, judged_on, on_tissue, sloped, slopes
-from tuning.proof.result import TuneResult, place_of
 from tuning.proof.sensitivities import vector_of
 
 ACTIVE = 0.97
@@ -59,7 +59,7 @@ class LimitStudy(NamedTuple):
 
 
 @in_float64
-def limits(result: TuneResult) -> LimitStudy:
+def limits(result: FoundController) -> LimitStudy:
     """Active goals of the tuned controller, with multipliers from exact gradients."""
     z, starts = vector_of(result), len(result.state.z)
     problem = sloped(result, z)
@@ -84,7 +84,7 @@ def limits(result: TuneResult) -> LimitStudy:
     return LimitStudy(priced, left / max(float(np.linalg.norm(downhill)), 1e-300))
 
 
-def active_margins(result: TuneResult) -> list[Active]:
+def active_margins(result: FoundController) -> list[Active]:
     """The tuned controller's active margins but for multipliers, each a local maximum over the stiffness.
 
     Of a family with the stiffness known it is the worst of the band; fixed gains that stay are left out.

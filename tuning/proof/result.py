@@ -1,73 +1,38 @@
 """What a tuning run found, proven on scenarios that it has not seen."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TypeVar
 
 import jax
 import numpy as np
 
-from jaxmpc import described, margins
+from jaxmpc import described
 from jaxmpc.beside import Beside
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS, METRICS
-from jaxmpc.stability import Margins
-from jaxmpc.stability.family import family_margins, judged_where
 from jaxmpc.synthesis.params import Params
-from jaxmpc.xla.place import on_cpu
 from jaxmpc.xla.precision import in_float64
 from tuning.job.goals import GOALS, margin_goals
 from tuning.job.scenarios import scenarios
 from tuning.job.spec import TuneSpec
 from tuning.objective.comparison import standing_of, versus
 from tuning.proof.flyable import refusal
-from tuning.search.run import SearchHistory, Step
+from tuning.proof.found import FoundController, found_of
+from tuning.search.run import SearchHistory
 from tuning.search.state import FEASIBLE, SearchState
 
-KINDS = {"as run": False, "ideal": True}
-"""Names of the two kinds of margins, and whether the damping is ideal."""
+T = TypeVar("T")
 LOST = 2.0
 """A residual beyond this means that a controller did not hold the heart [N] (`definitions.md`)."""
 
 
-class JudgedMargins(NamedTuple):
-    """Margins that goals are about, each (cells,): of the fixed gains, and of a family with the stiffness known."""
-
-    margins: Margins
-    stiffness: np.ndarray
-    """K_s [N/m]."""
-    believed: np.ndarray
-    """K̂ that a family holds [N/m]; NaN for fixed gains."""
-
-    def place(self, cell: int) -> str:
-        """Where a cell is."""
-        return place_of(self.stiffness[cell], self.believed[cell])
-
-
-def place_of(stiffness: float, believed: float) -> str:
-    """A tissue, and what a family believes of it."""
-    known = f" held for {believed:.4g} N/m" if np.isfinite(believed) else ""
-    return f"{stiffness:.4g} N/m{known}"
-
-
 @dataclass(frozen=True)
-class TuneResult:
+class TuneResult(FoundController):
     """Before and after, and the search between. Index 0 is the controller before, 1 the tuned one."""
 
-    spec: TuneSpec
-    params: Params
-    """The tuned controller; without a feasible point, the one that came closest."""
-    feasible: bool
-    """Whether it holds every hard goal at every stiffness at which margins are judged."""
     heldout: Metrics
     """On the held-out scenarios, each field (2, scenarios, stiffness, 3); NaN where a run was lost."""
-    margins: dict[str, Margins]
-    """"as run" and "ideal", each field (2, judged_at); of a family those of its fixed gains."""
-    steps: list[Step]
-    """The descent, and on the arm the rounds of space mapping."""
-    orders: dict[int, float]
-    """Score of each disturbance order after its descent [-]."""
-    known: tuple[JudgedMargins | None, JudgedMargins | None] = (None, None)
-    """Margins of families with the stiffness known, as `jaxmpc freeze` judges them."""
     refused: str = ""
     """Why freezing refuses it; "" where it accepts, and for jobs that are not for a robot."""
 
@@ -94,39 +59,6 @@ class TuneResult:
     def met(self) -> bool:
         """Whether it holds every hard goal, and freezing accepts it where it is for a robot."""
         return self.feasible and not self.refused
-
-    def judged(self, which: int) -> JudgedMargins:
-        """Everything whose margins are judged of the controller before (0) or after (1)."""
-        found = self.margins["ideal" if self.spec.ideal else "as run"]
-        fixed: Margins = jax.tree.map(lambda field: field[which], found)
-        at = self.spec.judged_at
-        parts = [JudgedMargins(fixed, at, np.full(len(at), np.nan)), self.known[which]]
-        whole: JudgedMargins = jax.tree.map(lambda *leaves: np.concatenate(leaves), *filter(None, parts))
-        return whole
-
-    def stable(self, ideal: bool) -> np.ndarray:
-        """Whether the loop is stable on each of the experiment's tissues, to a family known, (2, stiffness).
-
-        Args:
-            ideal: Whether it is the ideal one; of a family always the one that is judged.
-        """
-        found = np.asarray(self.margins["ideal" if ideal else "as run"].spectral_radius)
-        rows = found[:, np.searchsorted(self.spec.judged_at, self.tissues)] < 1.0
-        for row, family in zip(rows, self.known, strict=True):
-            if family is not None:
-                away = np.abs(np.stack([family.stiffness, family.believed])[:, None] - np.array(self.tissues)[:, None])
-                row[:] = np.asarray(family.margins.spectral_radius)[np.argmin(away.sum(axis=0), axis=1)] < 1.0
-        return rows
-
-    @property
-    def tissues(self) -> tuple[float, ...]:
-        """The experiment's [N/m]."""
-        return self.spec.experiment.stiffness
-
-    @property
-    def state(self) -> SearchState:
-        """Histories of the last step."""
-        return self.steps[-1].state
 
     @property
     def held(self) -> np.ndarray:
@@ -202,40 +134,35 @@ class TuneResult:
 
 def assess(history: SearchHistory, show: bool = False) -> TuneResult:
     """Choose among the starts on the validation scenarios, then compare with the controller before on held-out ones."""
+    return assess_and(lambda _: None, history, show)[0]
+
+
+def assess_and(
+    explain: Callable[[FoundController], T], history: SearchHistory, show: bool = False
+) -> tuple[TuneResult, T]:
+    """The same, and beside the proof something of the controller that needs none.
+
+    Args:
+        explain: What to make of it.
+        history: The search.
+        show: Whether to show progress.
+    """
     spec, state = history.spec, history.steps[-1].state
     candidates = _ranked(spec, state, show) if state.feasible else [spec.space.exact(state.leader_z)]
     met = scenarios(spec.experiment, spec.scenarios, spec.tune.heldout_seeds)
-    with Beside(1) as beside:
+    with Beside(2) as beside:
         flying = beside.submit(in_float64(_first_to_fly), spec, candidates) if state.feasible else None
-        # The best is rarely refused: it is proven meanwhile.
+        # The best is rarely refused: it is proven and explained meanwhile.
+        found = found_of(history, candidates[0])
+        explaining = beside.submit(in_float64(explain), found)
         before, (after,) = versus(spec, candidates[:1], met, show)
         chosen, refused = flying.result() if flying else (0, "")
-    params = candidates[chosen]
-    if chosen:
-        before, (after,) = versus(spec, [params], met, show)
-    runs: Metrics = jax.tree.map(lambda *fields: np.stack(fields), before, after)
-    found = {name: _judged(spec, params, ideal) for name, ideal in KINDS.items()}
-    known = _known(spec, spec.before), _known(spec, params)
-    return TuneResult(spec, params, state.feasible, runs, found, history.steps, history.orders, known, refused)
-
-
-@on_cpu()
-def _judged(spec: TuneSpec, params: Params, ideal: bool) -> Margins:
-    """Margins of the controller before and of another, (2, judged_at)."""
-    both = [margins(p, spec.judged_at, path=spec.experiment.loop_path(ideal)) for p in (spec.before, params)]
-    found: Margins = jax.tree.map(lambda *fields: np.stack(fields), *both)
-    return found
-
-
-@on_cpu()
-def _known(spec: TuneSpec, params: Params) -> JudgedMargins | None:
-    """Margins of a family with the stiffness known; None of a controller without knots."""
-    if params.listening is None:
-        return None
-    known, ratios = judged_where(params.listening)
-    found = family_margins(params, known, ratios, spec.experiment.loop_path(spec.ideal))
-    flat: Margins = jax.tree.map(np.ravel, found)
-    return JudgedMargins(flat, np.outer(known, ratios).ravel(), np.repeat(known, len(ratios)))
+        if chosen:
+            found = found_of(history, candidates[chosen])
+            explaining = beside.submit(in_float64(explain), found)
+            before, (after,) = versus(spec, candidates[chosen : chosen + 1], met, show)
+        runs: Metrics = jax.tree.map(lambda *fields: np.stack(fields), before, after)
+        return TuneResult(**vars(found), heldout=runs, refused=refused), explaining.result()
 
 
 def _ranked(spec: TuneSpec, state: SearchState, show: bool) -> list[Params]:

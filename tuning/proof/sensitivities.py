@@ -11,8 +11,8 @@ from jaxtyping import Float
 from jaxmpc.xla.place import on_cpu
 from jaxmpc.xla.precision import in_float64
 from tuning.job.space import SearchSpace
+from tuning.proof.found import FoundController
 from tuning.proof.gradients import SCORE, Slope, on_tissue, sloped, slopes
-from tuning.proof.result import TuneResult
 
 
 class Sensitivities(NamedTuple):
@@ -29,7 +29,7 @@ class Sensitivities(NamedTuple):
 
 
 @in_float64
-def sensitivities(result: TuneResult) -> Sensitivities:
+def sensitivities(result: FoundController) -> Sensitivities:
     """Exact gradients of the loop, on the arm of its corrected spectra; see `tuning.proof.gradients`."""
     space, z = result.spec.space, vector_of(result)
     problem = sloped(result, z)
@@ -44,7 +44,7 @@ def sensitivities(result: TuneResult) -> Sensitivities:
     return Sensitivities(metrics, names, values, np.moveaxis(np.array(rows), 1, 2))
 
 
-def vector_of(result: TuneResult) -> Float[np.ndarray, " size"]:
+def vector_of(result: FoundController) -> Float[np.ndarray, " size"]:
     """The vector that the tuned controller stands for, among those that the last step has kept."""
     state, space = result.state, result.spec.space
     kept = np.concatenate([state.best_z[np.isfinite(state.best)], state.closest_z])

@@ -16,7 +16,7 @@ from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.place import on_cpu
 from jaxmpc.xla.precision import in_float64
 from tuning.objective.problem import training
-from tuning.proof.result import TuneResult
+from tuning.proof.found import FoundController
 
 MOST = 8
 """Scenarios of training that it is averaged over, at most."""
@@ -36,7 +36,7 @@ class Split(NamedTuple):
 
 @on_cpu()
 @in_float64
-def split(result: TuneResult) -> Split:
+def split(result: FoundController) -> Split:
     """The residual by its causes; NaN on a tissue where the loop is unstable."""
     spec = result.spec
     experiment = spec.experiment

@@ -8,6 +8,7 @@ import numpy as np
 from jaxmpc.experiment import AXES
 from jaxmpc.report.content import Section, Table
 from jaxmpc.report.loops import Curves, curves
+from tuning.proof.found import FoundController
 from tuning.proof.gradients import SCORE
 from tuning.proof.limits import RELAXED, LimitStudy, limits
 from tuning.proof.result import TuneResult
@@ -27,8 +28,8 @@ class Study(NamedTuple):
     limits: LimitStudy
 
 
-def study(result: TuneResult) -> Study:
-    """Everything in the report that the run itself has not computed."""
+def study(result: FoundController) -> Study:
+    """Everything in the report that the run itself has not computed and that needs no proof."""
     spec = result.spec
     before, after = (curves(params, spec.experiment, spec.ideal) for params in (spec.before, result.params))
     return Study((before, after), sensitivities(result), split(result), limits(result))

@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 
 from jaxmpc import __version__
-from jaxmpc.beside import Beside
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.sealed import seal, write_atomic
 from jaxmpc.files.toml import write_toml
-from jaxmpc.xla.precision import in_float64
 from tuning.proof.flyable import freeze_command
 from tuning.proof.result import TuneResult
-from tuning.reports.explained import study
+from tuning.reports.explained import Study
 from tuning.reports.figures import before_after_figure
 from tuning.reports.page import html_report
 from tuning.reports.text import report
@@ -23,11 +21,12 @@ HISTORY = "history.png"
 """Picture of the way to a result."""
 
 
-def write(result: TuneResult, folder: Path, way: Future[None]) -> None:
+def write(result: TuneResult, found: Study, folder: Path, way: Future[None]) -> None:
     """Write params.toml and experiment.toml (if every goal is met), history.npz, report.txt, the figures, report.html.
 
     Args:
         result: What was found.
+        found: What explains it.
         folder: Where they go.
         way: What draws `HISTORY` there meanwhile.
     """
@@ -41,11 +40,8 @@ def write(result: TuneResult, folder: Path, way: Future[None]) -> None:
         write_toml(experiment, tuned_on(result.spec.experiment), "What the controller beside this was tuned on.")
     write_atomic(folder / "history.npz", history(result))
     write_atomic(folder / "report.txt", report(result).encode())
-    with Beside(1) as beside:  # what explains the result is mostly compiling
-        explaining = beside.submit(in_float64(study), result)
-        way.result()
-        before_after_figure(result, folder / "before_after.png")
-        found = explaining.result()
+    before_after_figure(result, folder / "before_after.png")
+    way.result()
     write_atomic(folder / "report.html", html_report(result, found).encode())
 
 

@@ -10,9 +10,10 @@ from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Metric
 from jaxmpc.report.content import Section, Table
 from jaxmpc.synthesis.params import STRUCTURE, Params
 from tuning.job.space import KNOTS
+from tuning.proof.found import KINDS
 from tuning.proof.limits import active_margins
 from tuning.proof.reached import kept, rows, verdict
-from tuning.proof.result import KINDS, TuneResult
+from tuning.proof.result import TuneResult
 from tuning.search.state import FEASIBLE
 
 
