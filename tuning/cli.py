@@ -75,12 +75,16 @@ def run(args: argparse.Namespace) -> int:
     before = _files(args.out)
     result = tune(spec, args.out, progress=not args.quiet)
     print(report(result, columns_of_output()))
-    if args.limit and result.feasible:
-        section = limit_section(result)
-        print(section_text(section, columns_of_output()))
-        write_atomic(args.out / "limit.txt", section_text(section).encode())
     if spec.pareto and result.met:
         pareto(result.spec, args.out, not args.quiet, result.state.leader_z)
+    if args.limit and result.feasible:
+        try:
+            section = limit_section(result)
+        except InputError as error:  # nothing is wrong with what was asked to be tuned
+            print(f"no limit: {error}")
+        else:
+            print(section_text(section, columns_of_output()))
+            write_atomic(args.out / "limit.txt", section_text(section).encode())
     print("\n".join(f"wrote {path}" for path, changed in _files(args.out).items() if changed != before.get(path)))
     if not result.met:
         print(f"jaxmpc tune: {result.unmet()}; no params.toml was written", file=sys.stderr)

@@ -93,10 +93,9 @@ def contender_from(text: str) -> "Contender":
     """
     from jaxmpc.report.comparison import Contender
     from jaxmpc.synthesis.params import Params
-    from jaxmpc.terminal.arguments import params_from, tuned_file
+    from jaxmpc.terminal.arguments import name_and_place, params_from, tuned_file
 
-    name, equals, rest = text.partition("=")
-    given, place = (name, rest) if equals else ("", text)
+    given, place = name_and_place(text)
     path = Path(place)
     if path.is_dir():
         file = tuned_file(path)

@@ -36,8 +36,8 @@ class LimitCell(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """The controller's residual over the least [-], flown where it learns; NaN without one."""
-        if self.yours is None:
+        """The controller's residual over the least [-], flown where it learns; NaN without either."""
+        if self.yours is None or not self.limit.reached.rms > 0.0:
             return float("nan")
         return (self.yours.rms if self.flown is None else self.flown) / self.limit.reached.rms
 
@@ -66,9 +66,12 @@ def flown_by(params: Params, experiment: Experiment) -> np.ndarray | None:
 
 def told(found: Sequence[LimitCell], demands: Demands = ROBOT) -> str:
     """What it comes to in a sentence: how many times the limit, and whether both kept the same bounds."""
-    ratios = [cell.ratio for cell in found]
-    if any(ratio != ratio for ratio in ratios):
+    if any(cell.yours and not np.isfinite(cell.yours.M_s) for cell in found):
         return "yours is unstable on a tissue of these: no residual, no ratio"
+    found = [cell for cell in found if cell.ratio == cell.ratio]
+    if not found:
+        return "nothing disturbs the loop: the limit leaves nothing, and there is no ratio to it"
+    ratios = [cell.ratio for cell in found]
     worst = max(found, key=lambda cell: cell.ratio)
     M_s, chatter = (max(getattr(cell.yours, name) for cell in found if cell.yours) for name in ("M_s", "chatter"))
     kept = M_s <= 1.01 * demands.M_s and chatter <= 1.01 * demands.chatter

@@ -20,6 +20,12 @@ def engine_argument(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--engine", choices=ENGINES, help="what runs the loops (default: the fastest here, see doctor)")
 
 
+def name_and_place(text: str) -> tuple[str, str]:
+    """Name and place of what may be given as NAME=PLACE; no name where that, as a whole, is a place."""
+    name, equals, place = text.partition("=")
+    return (name, place) if equals and not Path(text).exists() else ("", text)
+
+
 def params_from(text: str) -> "Params":
     """A published parameter set by name, whatever lies here under it; else a params.toml, or a tuning run's folder."""
     from jaxmpc.synthesis.params import Params

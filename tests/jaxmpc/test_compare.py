@@ -22,7 +22,7 @@ from jaxmpc.report.thinning import thinned
 from jaxmpc.stability import Margins
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
-from jaxmpc.terminal.arguments import experiment_from, params_from
+from jaxmpc.terminal.arguments import experiment_from, name_and_place, params_from
 
 SHORT = """\
 name = "short"
@@ -127,6 +127,15 @@ def test_wrong_arguments(
     assert main(["compare", *arguments]) == 2
     assert said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_path_with_an_equals_sign_is_a_path(tuned: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "T_cl=3"
+    folder.mkdir()
+    (folder / "params.toml").write_bytes((tuned / "params.toml").read_bytes())
+    assert contender_from(f"{folder}").name == "T_cl=3"
+    assert contender_from(f"mine={folder}").name == "mine"
+    assert name_and_place("mine=text") == ("mine", "text")
 
 
 def test_a_folder_without_a_result_and_a_file_that_is_no_controller(tmp_path: Path) -> None:

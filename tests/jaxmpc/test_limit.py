@@ -14,7 +14,7 @@ from jaxmpc import Params, design
 from jaxmpc.cli import main
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
-from jaxmpc.limit.comparison import LimitCell, flown_by, left_by
+from jaxmpc.limit.comparison import LimitCell, flown_by, left_by, told
 from jaxmpc.limit.flight import flown
 from jaxmpc.limit.judged import Judged
 from jaxmpc.limit.law import LinearLaw, response
@@ -274,4 +274,9 @@ def test_what_learns_the_beat_is_told_as_flown() -> None:
     assert cell.ratio == pytest.approx(1.5)
     assert cell._replace(flown=0.024).ratio == pytest.approx(1.2)
     assert np.isnan(cell._replace(yours=None).ratio)
+    nothing = cell._replace(limit=Limit(judged._replace(rms=0.0), law))
+    assert np.isnan(nothing.ratio)
+    assert "nothing disturbs the loop" in told([nothing])
+    assert "1.50 to 1.50 × the limit" in told([nothing, cell])
+    assert "unstable" in told([cell, cell._replace(yours=judged._replace(rms=np.nan, M_s=np.inf))])
     assert flown_by(Params.published("cautious"), Experiment.published("table-1-wam")) is None

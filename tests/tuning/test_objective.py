@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jaxmpc import margins
+from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import METRICS
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
@@ -183,6 +184,22 @@ def test_a_start_that_stands_still_has_a_slope(small: Job) -> None:
     values = problem(spec).differentiate(np.tile(spec.space.encode(spec.params), (8, 1)), 1.0)
     assert np.isposinf(values.M_s[0, -1])
     assert np.isfinite(values.gradient).all()
+
+
+def test_a_ratio_to_what_was_lost_everywhere_is_refused(small: Job) -> None:
+    """Every controller would be as good as any other; lost on one tissue, it leaves the others."""
+    lost = {"baseline": {"published": "text", "Khat_s": 200.0}}
+
+    def reference(stiffness: list[float], soft: str) -> np.ndarray:
+        tables = small(experiment={**QUIET, "stiffness": stiffness}, goals={"soft": {soft: 0.5}}, **lost)
+        return np.asarray(problem(TuneSpec.from_dict(tables)).data.reference.rms)
+
+    with pytest.raises(InputError, match="lost in every run"):
+        reference([1900.0], "rms_ratio")
+    np.testing.assert_array_equal(reference([1900.0], "rms"), 1.0)
+    known = np.isfinite(reference([375.0, 1900.0], "rms_ratio"))
+    np.testing.assert_array_equal(known.all(axis=(1, 2)), [True, False])
+    assert not known[1].any()
 
 
 @pytest.mark.slow

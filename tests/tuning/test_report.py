@@ -245,6 +245,7 @@ def test_every_point_of_the_search_is_a_row(result: TuneResult) -> None:
     start = int(rows.names[place].rpartition(" ")[2])
     best = result.spec.space.exact(state.best_z[start])
     assert tomllib.loads(detail.toml)["params"] == best.to_dict()
+    assert freeze_command(result.spec, "experiment.toml") in detail.toml
 
 
 def test_scenarios_that_were_lost_before_do_not_count(result: TuneResult) -> None:

@@ -131,6 +131,10 @@ def test_a_wrong_spec_is_refused(tmp_path: Path, text: str, key: str, says: str,
         ({"experiment": {"duration": 2.0, "settle": 1.0}}, "settle"),
         ({"tune": {"duration": 2.0, "settle": 1.0}}, "tune.settle"),
         ({"params": {"published": "mpc-alone"}, "tune": {"orders": [1, 2]}}, "disturbance_order"),
+        ({"params": {"guarded": True}}, "params.guarded"),
+        ({"baseline": {"compensation": 0.5}}, "baseline.compensation"),
+        ({"tune": {"free": {"Hp": [4, 30], "Hu": [8, 16]}}, "params": {"Hu": 8.0}}, "tune.free.Hp"),
+        ({"experiment": {"published": "table-1-wam"}, "scenarios": {"cable_hz": [15.0, 120.0]}}, "scenarios.cable_hz"),
     ],
 )
 def test_what_the_proof_could_not_run_is_refused_before_the_search(table: dict[str, Any], key: str) -> None:
@@ -138,6 +142,15 @@ def test_what_the_proof_could_not_run_is_refused_before_the_search(table: dict[s
     with pytest.raises(InputError) as caught:
         TuneSpec.from_dict(table)
     assert caught.value.key.startswith(key)
+
+
+def test_what_scenarios_and_horizons_may_have_is_taken() -> None:
+    TuneSpec.from_dict({"tune": {"free": {"Hp": [8, 30], "Hu": [8, 16]}}, "params": {"Hu": 8.0}})
+    table = {
+        "experiment": {"published": "table-1-wam", "arm": {"substeps": 2}},
+        "scenarios": {"cable_hz": [15.0, 120.0]},
+    }
+    assert TuneSpec.from_dict(table).scenarios.cable_hz == (15.0, 120.0)
 
 
 def test_a_start_of_many_numbers_outside_its_bounds_is_told_by_the_first_of_them() -> None:

@@ -1,7 +1,7 @@
 """The table [tune.free] of a job: which parameters move between which bounds, of the controller and of its knots."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -122,3 +122,15 @@ def check_axis(axis: FreeParameter, params: Params) -> None:
         outside = np.atleast_1d(start)[np.atleast_1d((start < axis.low) | (start > axis.high))][0]
         remedy = f"The start {outside:g} lies outside: move it, or widen the bounds."
         raise InputError(key, bounds, "around the start point", remedy)
+
+
+def check_horizons(axes: Sequence[FreeParameter]) -> None:
+    """Refuse bounds of H_p that would press H_u, which is never longer, below its own.
+
+    Raises:
+        InputError: Names key, value, bound and remedy.
+    """
+    bounds = {axis.name: (axis.low, axis.high) for axis in axes}
+    if "Hp" in bounds and "Hu" in bounds and bounds["Hp"][0] < (least := bounds["Hu"][0]):
+        remedy = "Raise its lower bound, or lower that of Hu, which is never longer than Hp."
+        raise InputError("tune.free.Hp", list(bounds["Hp"]), f"from {least:g} samples on, as tune.free.Hu", remedy)

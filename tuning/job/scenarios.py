@@ -68,6 +68,13 @@ class Scenarios(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise InputError("scenarios.rhythms", "[]", "at least one rhythm", 'Give ["own"] for the experiment\'s.')
         if len(self.cable_hz) not in (0, 2) or list(self.cable_hz) != sorted(self.cable_hz):
             raise InputError("scenarios.cable_hz", list(self.cable_hz), "[lowest, highest] Hz", "Give both, in order.")
+        if self.cable_hz and experiment.physics != "linear":
+            try:
+                stiffest = msgspec.structs.replace(experiment.arm, cable_hz=self.cable_hz[1])
+                msgspec.structs.replace(experiment, arm=stiffest)
+            except InputError as error:
+                key, remedy = "scenarios.cable_hz", f"{error.remedy.rstrip('.')} in [experiment], or lower it."
+                raise InputError(key, list(self.cable_hz), error.bound, remedy) from None
         if experiment.physics == "linear":
             for key in ("friction", "mass", "stiffness", "delays", "cable_hz"):
                 if value := getattr(self, key):

@@ -17,7 +17,7 @@ from jaxmpc.files.toml import located, read_toml
 from jaxmpc.quantities import MARGINS
 from jaxmpc.stability.family import judged_where
 from jaxmpc.synthesis.params import Params
-from tuning.job.axes import axes_of, begun, check_axis
+from tuning.job.axes import axes_of, begun, check_axis, check_horizons
 from tuning.job.goals import GOALS, MEASURED, OVERSHOOT, check_goals
 from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
@@ -72,6 +72,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         if not self.free:
             raise InputError("tune.free", "empty", "at least one parameter", f"Free by default: {', '.join(FREE)}.")
         self._check_knots()
+        self._check_arm()
         for key, prefix in (("diagonals", ""), ("tied", KNOTS)):
             for name in getattr(self.tune, key):
                 if prefix + name not in self.free:
@@ -79,6 +80,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
                     raise InputError(f"tune.{key}", name, "a free parameter", remedy)
         for axis in self.space.axes:
             check_axis(axis, self.space.base)
+        check_horizons(self.space.axes)
         self._check_lengths()
 
     def _check_lengths(self) -> None:
@@ -88,6 +90,17 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             _ = msgspec.structs.replace(self.experiment, duration=self.tune.duration, settle=self.tune.settle).scored
         except InputError as error:
             raise InputError(f"tune.{error.key}", error.value, error.bound, error.remedy) from None
+
+    def _check_arm(self) -> None:
+        """Refuse what only an arm can have."""
+        if self.on_arm:
+            return
+        remedy = 'Tune it on the arm, experiment.physics = "wam"; freezing refuses it too.'
+        if self.params.guarded:
+            raise InputError("params.guarded", True, "false on the linear loop", remedy)
+        if self.baseline_compensation is not None:
+            remedy = 'Set experiment.physics = "wam" or remove baseline.compensation.'
+            raise InputError("baseline.compensation", self.baseline_compensation, "given on the arm only", remedy)
 
     def _check_knots(self) -> None:
         """Refuse what would leave a knot without a judge."""

@@ -69,8 +69,8 @@ def pairs_of(
     return [([spec.before], spec.met_before(met)), (candidates, met)]
 
 
-def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> np.ndarray:
-    """Largest soft goal of the runs per scenario [-]; ∞ where a run was lost.
+def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> float:
+    """The job's risk over the scenarios, each with its largest soft goal of the runs [-]; ∞ where a run was lost.
 
     Args:
         spec: The job.
@@ -80,8 +80,13 @@ def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> np.ndarray:
     asked = {name: limit for name, limit in spec.soft.items() if name != OVERSHOOT} or {"rms": 1.0}
     swapped, reference = jax.tree.map(lambda field: np.swapaxes(field, 0, 1), (after, before))
     goals = run_goals(swapped, reference, None, asked)
-    largest: np.ndarray = np.max([np.asarray(goal).max(axis=(0, 2)) for goal in goals.values()], axis=0)
-    return np.where(np.isnan(largest), np.inf, largest)
+    largest = np.max([np.asarray(goal).max(axis=2) for goal in goals.values()], axis=0)
+    if np.isnan(largest).any():
+        return np.inf
+    if spec.params.listening is None:
+        return float(spec.risk.over(jnp.asarray(largest.max(axis=0))))
+    # A knot serves its own tissue, so each counts, as in the search.
+    return float(np.exp(np.mean(np.log(np.asarray(spec.risk.over(jnp.asarray(largest)))))))
 
 
 def compile_ahead(controllers: Sequence[Params], experiments: Sequence[Experiment], engine: str | None = None) -> None:

@@ -14,6 +14,8 @@ from jaxmpc.engine.base import ProgramSpec
 from jaxmpc.engine.registry import fastest, named
 from jaxmpc.engine.scenario import program_spec
 from jaxmpc.experiment import Experiment
+from jaxmpc.files.errors import InputError
+from jaxmpc.loop.linear import HIGHEST_FORCE
 from jaxmpc.metrics import Metrics
 from jaxmpc.spectra.spectrum import spectrum_of
 from jaxmpc.xla.blocks import OverDevices
@@ -155,8 +157,24 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
         scene, spectra = jax.tree.map(jnp.asarray, _seen(old, spectral, swinging))
         world = structure.world if spectral else engined(old[0])
         seen_before = data._replace(scene=scene, spectra=spectra)
-        data = data._replace(reference=measure(spec.before, seen_before, structure._replace(world=world)))
+        reference = measure(spec.before, seen_before, structure._replace(world=world))
+        data = data._replace(reference=reference if spectral else _held(reference))
     return Problem(data, structure)
+
+
+def _held(reference: Metrics) -> Metrics:
+    """What ratios are taken to, NaN where the controller before was lost: whatever lasts is better there.
+
+    Raises:
+        InputError: It was lost everywhere, so that every controller would be as good as any other.
+    """
+    peak = jnp.asarray(reference.peak_error)
+    held = jnp.all(jnp.isfinite(peak) & (peak < HIGHEST_FORCE), axis=2, keepdims=True)
+    if not held.any():
+        remedy = "Compare with one that is stable, or minimise goals in units of their own, such as rms."
+        raise InputError("baseline", "lost in every run", "held in one at least, for ratios to it", remedy)
+    found: Metrics = jax.tree.map(lambda field: jnp.where(held, field, jnp.nan), reference)
+    return found
 
 
 def judged_cells(spec: TuneSpec, coarse: bool) -> tuple[np.ndarray, np.ndarray | None]:

@@ -172,7 +172,7 @@ def _ranked(spec: TuneSpec, state: SearchState, show: bool) -> list[Params]:
     if spec.tune.validation_seeds:
         met = scenarios(spec.experiment, spec.scenarios, spec.tune.validation_seeds)
         before, each = versus(spec, candidates, met, show)
-        value = np.array([np.max(standing_of(spec, one, before)) for one in each])
+        value = np.array([standing_of(spec, one, before) for one in each])
     return [candidates[i] for i in np.argsort(value, kind="stable")]
 
 

@@ -7,6 +7,8 @@ from jaxmpc.quantities import PARAMETERS
 from jaxmpc.report.content import Candidates, Detail, Measure
 from jaxmpc.synthesis.params import Params
 from tuning.job.goals import GOALS
+from tuning.job.spec import TuneSpec
+from tuning.proof.flyable import freeze_command
 from tuning.proof.result import TuneResult
 
 MOST = 20_000
@@ -71,11 +73,12 @@ def _controllers(result: TuneResult, z: np.ndarray) -> dict[int, Detail]:
     for start in np.flatnonzero(np.isfinite(state.best)):
         same = np.flatnonzero((z == state.best_z[start]).all(axis=1))
         if len(same):
-            found[int(same[0])] = Detail(toml=toml_of(result.spec.space.exact(state.best_z[start])))
+            found[int(same[0])] = Detail(toml=toml_of(result.spec, result.spec.space.exact(state.best_z[start])))
     return found
 
 
-def toml_of(params: Params) -> str:
+def toml_of(spec: TuneSpec, params: Params) -> str:
     """A params.toml."""
-    note = "A point of a search. Freeze it: jaxmpc freeze params.toml -o controller.npz"
+    command = freeze_command(spec, "experiment.toml")
+    note = f"A point of a search. Beside the experiment.toml of its result, freeze it: {command}"
     return toml_text({"params": params.to_dict()}, note)

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.engine.registry import named
     from jaxmpc.engine.scenario import program_spec
     from jaxmpc.files.outputs import check_folder
-    from jaxmpc.terminal.arguments import experiment_from, params_from
+    from jaxmpc.terminal.arguments import experiment_from, name_and_place, params_from
     from jaxmpc.terminal.process import use_all_cores
     from jaxmpc.terminal.tables import show
 
@@ -63,9 +63,9 @@ def run(args: argparse.Namespace) -> int:
     from tuning.trials import run as run_trials
     from tuning.trials.linear_margins import COLUMNS, TISSUES, margins_table
 
-    given = [text.partition("=") for text in (args.params, args.against) if text]
-    controllers = tuple(params_from(place or text) for text, _, place in given)
-    names = [text for text, *_ in given]
+    given = [name_and_place(text) for text in (args.params, args.against) if text]
+    controllers = tuple(params_from(place) for _, place in given)
+    names = [name or place for name, place in given]
     names = names if len(set(names)) == len(names) else [names[0], f"{names[1]} (2)"]
     base = experiment_from(args.experiment)
     job = Job(controllers, base, on_own_tissues(HARD if args.hard else NOMINAL, base), args.seed, args.engine)
