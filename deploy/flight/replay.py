@@ -45,6 +45,8 @@ then. What a schedule believes of the tissue goes back to the contact: a flight 
 on."""
 FILTER = 0.3
 """Left out after a missing position [s], in which the velocity's low-pass forgets."""
+LARGEST = 1e60
+"""No input is larger, whatever its unit: of such ones products leave the finite numbers, at which Python raises."""
 SERVO = ("armed", "approach", "retract", "stopped")
 """States in which the torque is that of a servo on the tip."""
 
@@ -101,6 +103,13 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
     if not len(signals["time"]):
         raise RecordingError("it holds no samples")
     number = signals["state"][:, 0]
+    if not np.isin(number, np.arange(len(states))).all():
+        raise RecordingError("it is in states that its header does not name")
+    if not np.all(np.diff(signals["time"][:, 0], prepend=-math.inf) > 0.0):
+        raise RecordingError("its times do not rise")
+    for name in INPUTS:
+        if np.any(np.isfinite(signals[name]) & (np.abs(signals[name]) > LARGEST)):
+            raise RecordingError(f"its signal {name} is beyond what a robot has, {LARGEST:g}")
     contact = number == states.index("contact")
     before = np.concatenate([[False], contact[:-1]])
     enters = contact & ~before

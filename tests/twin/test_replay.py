@@ -3,6 +3,7 @@
 import hashlib
 import shutil
 from argparse import ArgumentParser
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from deploy.flight.replay import KNOWN, SETTLING, compare, inputs_of, through_ru
 from jaxmpc.cli import replay as verb
 from jaxmpc.cli.flight_report import _states
 from jaxmpc.files.errors import InputError
+from jaxmpc.pictures import recording_figure
+from jaxmpc.pictures.figures import figure
 from tests.deploy import made
 
 NAMES = {"state": ["idle", "armed", "approach", "contact", "retract", "stopped", "fault"]}
@@ -202,6 +205,31 @@ def test_the_report_begins_with_the_verdict_and_leaves_out_what_rests(flight, tm
     assert _states(read(flight / "flight.npz")) == "2 approach, 3 contact, 4 retract"
 
 
+def test_the_picture_shows_a_guard_and_a_believed_stiffness_where_there_is_one(other_flight, tmp_path, monkeypatch):
+    drawn = []
+
+    @contextmanager
+    def kept(*args, **options):
+        with figure(*args, **options) as axes:
+            drawn.extend(axes)
+            yield axes
+
+    monkeypatch.setattr(recording_figure, "figure", kept)
+    monkeypatch.setattr(verb, "find_spec", lambda name: name == "matplotlib" or None)
+    controller = other_flight / "controller.npz"
+    assert replay(other_flight / "flight.npz", "--artifact", controller, "--picture", tmp_path / "a.png") == 0
+    gains = load(controller).gains
+    assert len(drawn) == 4 + (gains.guard is not None or gains.schedule is not None)
+    lines = {line.get_label(): line for axes in drawn[0].figure.axes for line in axes.lines}
+    assert ("gain left by the guard" in lines) == (gains.guard is not None)
+    assert "0 clamped in contact" in lines
+    in_contact = read(other_flight / "flight.npz").signals["state"][:, 0] == CONTACT
+    believed = [line for label, line in lines.items() if label.startswith("K̂")]
+    assert len(believed) == (0 if gains.schedule is None else 3)
+    for line in believed:
+        np.testing.assert_array_equal(np.isfinite(line.get_ydata()), in_contact)
+
+
 def test_a_missing_simulator_is_said(flight, capsys, monkeypatch):
     monkeypatch.setattr(verb, "find_spec", lambda name: None)
     assert replay(flight / "flight.npz", "--artifact", flight / "controller.npz") == 0
@@ -220,7 +248,7 @@ def test_wrong_files_are_refused(flight, tmp_path):
         ((recording, "--artifact", tmp_path / "none.npz"), "cannot be read"),
         ((controller, "--artifact", controller), "no flight recording"),
         ((damaged, "--artifact", controller), "cut short"),
-        ((tmp_path / "none.npz", "--artifact", controller), "No such file"),
+        ((tmp_path / "none.npz", "--artifact", controller), r"^recording = \S+none.npz: must be a readable file\. It"),
         ((recording, "--artifact", controller, "--tolerance", "0"), "in \\(0, 1\\)"),
         ((recording, "--artifact", controller, "--report", tmp_path / "no" / "a.html"), "can be written"),
     ]
@@ -241,6 +269,28 @@ def test_wrong_files_are_refused(flight, tmp_path):
 def test_recordings_that_lack_something_are_refused(flight, tmp_path, header, columns, text):
     recorder = FlightRecorder(columns, seconds=0.01)
     write(tmp_path / "flight.npz", flight / "controller.npz", recorder, **header)
+    with pytest.raises(InputError, match=text):
+        replay(tmp_path / "flight.npz", "--artifact", flight / "controller.npz")
+
+
+@pytest.mark.parametrize(
+    ("signal", "value", "text"),
+    [
+        ("time", np.nan, "times do not rise"),
+        ("time", -1.0, "times do not rise"),
+        ("state", np.nan, "states that its header does not name"),
+        ("state", 99.0, "states that its header does not name"),
+        ("force", 1e308, "force is beyond"),
+        ("q", -1e200, "q is beyond"),
+    ],
+)
+def test_numbers_that_are_none_of_a_flight_are_refused(flight, tmp_path, signal, value, text):
+    """Sealed by hand: no recorder writes them."""
+    recorder = FlightRecorder(seconds=0.01)
+    for k in range(5):
+        row = dict.fromkeys(COLUMNS, 0.0) | {"time": 1e-3 * k} | ({signal: value} if k == 3 else {})
+        recorder.append([row[name] for name, (width, *_) in COLUMNS.items() for _ in range(width)])
+    write(tmp_path / "flight.npz", flight / "controller.npz", recorder)
     with pytest.raises(InputError, match=text):
         replay(tmp_path / "flight.npz", "--artifact", flight / "controller.npz")
 
