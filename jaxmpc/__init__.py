@@ -61,3 +61,7 @@ def __getattr__(name: str) -> Any:
         # As on a robot, which has numpy and python-can alone.
         text = f"jaxmpc.{name} needs {error.name}: install the workstation, pip install 'jaxmpc[sim]'"
         raise ImportError(text, name=name) from None
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -84,6 +84,13 @@ def test_every_public_class_is_looked_at() -> None:
     assert set(MADE) == public_classes()
 
 
+@pytest.mark.parametrize("package", [*PACKAGES, "jaxmpc.experiment"])
+def test_completion_offers_what_loads_when_asked_for(package: str) -> None:
+    module = import_module(package)
+    assert set(module.__all__) <= set(dir(module))
+    assert {"__name__", "__doc__"} <= set(dir(module))
+
+
 @pytest.mark.parametrize("name", [*MADE, *RETURNED])
 def test_lines_fit(name: str) -> None:
     lines = repr({**MADE, **RETURNED}[name]()).splitlines()

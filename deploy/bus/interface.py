@@ -30,11 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             flag.help = f"{flag.help} One of: {', '.join(flag.choices or ())}."
 
 
-def check_flags(arguments: argparse.Namespace) -> None:
-    """Refuse flags that name no bus of an arm, before anything is opened.
+def check_given(arguments: argparse.Namespace) -> None:
+    """Refuse flags that fit no bus of an arm, whether or not they name one.
 
     Raises:
-        InputError: No bus is named, the channel's name is none, or the bus speaks what the arm does not.
+        InputError: The channel's name is none, or the bus speaks what the arm does not.
     """
     channel = str(getattr(arguments, "channel", ""))
     if not re.fullmatch(r"[\w./:@+-]{0,128}", channel):
@@ -44,11 +44,24 @@ def check_flags(arguments: argparse.Namespace) -> None:
     bitrate = getattr(arguments, "bitrate", BITRATE)
     if bitrate != BITRATE:
         raise InputError("--bitrate", bitrate, f"{BITRATE} bit/s", "The pucks speak 1 Mbit/s and nothing else.")
+
+
+def check_flags(arguments: argparse.Namespace, otherwise: str = "") -> None:
+    """Refuse flags that name no bus of an arm, before anything is opened.
+
+    Args:
+        arguments: Flags of python-can.
+        otherwise: What else the verb can do, said where no bus is named.
+
+    Raises:
+        InputError: As `check_given`, or no bus is named.
+    """
+    check_given(arguments)
     if not hasattr(arguments, "interface"):
         try:  # python-can's environment variables and files may name one
             can.util.load_config()
         except can.CanInterfaceNotImplementedError:
-            remedy = "Name one, as --interface socketcan --channel can0, or fly against the twin, --lockstep."
+            remedy = f"Name one, as --interface socketcan --channel can0{otherwise}."
             raise InputError("--interface", "left out", "given", remedy) from None
         except Exception:  # a file or variable of any wrong kind: told where the bus is opened, which reads it again
             return

@@ -21,12 +21,15 @@ def run(args: argparse.Namespace) -> int:
     """Look at everything and print it; 1 if something prevents a run.
 
     Raises:
-        InputError: The rate is none.
+        InputError: The rate is none, or the flags of the bus name none of an arm.
     """
     from deploy import doctor
+    from deploy.bus.interface import check_flags, check_given
 
     if args.rate is not None and not 1.0 <= args.rate <= 10_000.0:
         raise InputError("--rate", args.rate, "in [1, 10000] Hz", "The paper's controller runs at 1000.")
+    named = "channel" in args or "interface" in args
+    (check_flags if named else check_given)(args)
     findings = doctor.versions()
     rate = args.rate
     if args.artifact:
@@ -43,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     findings.append(doctor.jr3(args.sensor == "jr3"))
     lines, finding = doctor.budget(args.joints, args.sensor == "can", rate)
     findings.append(finding)
-    if "channel" in args or "interface" in args:
+    if named:
         findings += doctor.bus(args, args.sensor == "can")
     else:
         findings.append(doctor.Finding("note", "bus: not looked at; name it by --interface and --channel"))

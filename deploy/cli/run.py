@@ -198,7 +198,7 @@ def _watched(
 
     def told(well: bool) -> list[str]:
         limit = session.artifact.arm.limits.force
-        guard = _guarded(session.recorder.signals())
+        guard = _guarded(session.recorder.signals()) if session.artifact.gains.guard else "guard: none"
         return [*residuals.report(), *peaks.report(twin.faults, args.fault, well, twin.now, limit), guard]
 
     return watched, told
@@ -207,13 +207,14 @@ def _watched(
 def _guarded(signals: Any) -> str:
     """What a guard did to the gain in the stretch that the recorder holds."""
     gain, time = signals["gain"][:, 0], signals["time"][:, 0]
-    known = gain == gain
-    if not known.any() or gain[known].min() > 0.99:
-        return "guard: at rest, the gain stayed whole"
-    lowest = gain[known].argmin()
-    return (
-        f"guard: lowest gain {gain[known][lowest]:.2f} at {time[known][lowest]:.1f} s, {gain[known][-1]:.2f} at the end"
-    )
+    known = (gain == gain) & (time == time)
+    if not known.any():
+        return "guard: no gain was recorded"
+    gain, time = gain[known], time[known]
+    stretch, lowest = f"in the last {time[-1] - time[0]:.1f} s", gain.argmin()
+    if gain[lowest] > 0.99:
+        return f"guard: at rest {stretch}, the gain stayed whole"
+    return f"guard: lowest gain {stretch} {gain[lowest]:.2f} at {time[lowest]:.1f} s, {gain[-1]:.2f} at the end"
 
 
 def _armed(given: str | None, digest: str) -> bool:

@@ -111,7 +111,7 @@ def check(args: argparse.Namespace) -> None:
             said = " ".join(given) if isinstance(given, list) else given
             raise InputError(f"--{name.replace('_', '-')}", said, bound, remedy)
     if not args.lockstep:
-        check_flags(args)
+        check_flags(args, ", or fly against the twin, --lockstep")
     for name, (low, high) in CONTACTS.items():
         if not low <= getattr(args, name) <= high:
             bound = f"in [{low:g}, {high:g}]"

@@ -11,7 +11,7 @@ from deploy.controller import arm_model, frozen_gains
 from deploy.controller.arm_model import ArmModel
 from deploy.controller.artifact import KINDS, Artifact
 from deploy.controller.golden import check_golden
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import LONGEST_VALUE, InputError, plain
 from jaxmpc.files.sealed import LARGEST, SealError, seal, unseal
 
 SCHEMA, VERSION = "jaxmpc controller", 2
@@ -49,19 +49,20 @@ def from_bytes(data: bytes) -> Artifact:
     """
     header, arrays = _opened(data)
     if header.get("schema") != SCHEMA:
-        raise ArtifactError(f"it is sealed, but not a controller: its schema is {header.get('schema')!r}")
+        raise ArtifactError(f"it is sealed, but not a controller: its schema is {_said(header.get('schema'))}")
     version, kind = header.get("version"), header.get("kind")
     if type(version) is not int:  # true is 1 to Python
-        raise ArtifactError(f"it has schema version {version!r}, which never existed")
+        raise ArtifactError(f"it has schema version {_said(version)}, which never existed")
     if version > VERSION:
-        raise ArtifactError(f"it has schema version {version}, newer than {VERSION}: update jaxmpc on this machine")
+        newer = f"newer than {VERSION}: update jaxmpc on this machine"
+        raise ArtifactError(f"it has schema version {_said(version)}, {newer}")
     if version == 1:
         raise ArtifactError("it has schema version 1, which does not say what filters it flies with: freeze it again")
     if version != VERSION:
-        raise ArtifactError(f"it has schema version {version!r}, which never existed")
+        raise ArtifactError(f"it has schema version {_said(version)}, which never existed")
     if kind not in KINDS:
         raise ArtifactError(
-            f"it is of the kind {kind!r}; this version of jaxmpc knows {' and '.join(map(repr, KINDS))}"
+            f"it is of the kind {_said(kind)}; this version of jaxmpc knows {' and '.join(map(repr, KINDS))}"
         )
     keys, names = (HEADER, GOLDEN) if kind == "linear" else ((*HEADER, "arm"), (*GOLDEN, *arm_model.GOLDEN))
     if missing := [name for name in names if name not in arrays]:
@@ -69,9 +70,9 @@ def from_bytes(data: bytes) -> Artifact:
     if missing := [name for name in keys if name not in header]:
         raise ArtifactError(f"its header lacks {missing[0]}")
     if surplus := [name for name in arrays if name not in names]:
-        raise ArtifactError(f"it holds the array {surplus[0]!r}, which no controller of its kind has")
+        raise ArtifactError(f"it holds the array {_said(surplus[0])}, which no controller of its kind has")
     if surplus := [name for name in header if name not in ("schema", "version", "kind", *keys, "family")]:
-        raise ArtifactError(f"its header has the key {surplus[0]!r}, which no controller of its kind has")
+        raise ArtifactError(f"its header has the key {_said(surplus[0])}, which no controller of its kind has")
     for name, array in arrays.items():
         if array.dtype != np.dtype("<f8"):
             raise ArtifactError(f"its array {name} is of {array.dtype}, not of float64")
@@ -160,6 +161,11 @@ def read(path: Path) -> bytes:
             return file.read(LARGEST + 1)
     except OSError as error:
         raise ArtifactError(f"it cannot be read: {error.strerror}") from None
+
+
+def _said(value: Any) -> str:
+    """What a header holds, as much of it as a sentence has room for."""
+    return plain(repr(value), LONGEST_VALUE)
 
 
 def _opened(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

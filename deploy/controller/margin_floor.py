@@ -30,7 +30,7 @@ def plain_margins(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Rows of margins as plain data.
 
     Raises:
-        InputError: There is none, or one has other keys or values than it must have.
+        InputError: There is none, or one has other keys or values than it must have, or such as no stable loop has.
     """
     known = {"stiffness", *MARGINS}
     plain = []
@@ -43,10 +43,23 @@ def plain_margins(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         if not SOFTEST <= values["stiffness"] <= HARDEST:
             bound = f"in [{SOFTEST:g}, {HARDEST:g}] N/m"
             raise InputError("stiffness", values["stiffness"], bound, "Give the tissue's own.")
+        _check_possible(values)
         plain.append(values)
     if not plain:
         raise InputError("margins", "none", "given for at least one stiffness", "Evaluate them where it will be used.")
     return plain
+
+
+def _check_possible(row: Mapping[str, float]) -> None:
+    """Refuse what no stable loop has; an unstable one is told by `check`."""
+    if row["spectral_radius"] >= 1.0:
+        return
+    for key in MARGINS:
+        least = {"M_s": 1.0, "spectral_radius": 0.0}.get(key)
+        if row[key] <= 0.0 if least is None else row[key] < least:
+            case = f"{key} at {row['stiffness']:g} N/m"
+            bound = f"{'above 0' if least is None else f'at least {least:g}'}, as of any stable loop"
+            raise InputError(case, f"{row[key]:.6g}", bound, "Evaluate the controller again.")
 
 
 def plain_floor(floor: Mapping[str, Any]) -> dict[str, float]:

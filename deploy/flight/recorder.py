@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxmpc.files.errors import InputError
 from jaxmpc.files.foreign import read_bytes
 from jaxmpc.files.sealed import LARGEST, SealError, seal, unseal, write_atomic
 
@@ -180,12 +179,11 @@ def read(path: Path | str) -> FlightRecording:
     """A recording from a file.
 
     Raises:
-        RecordingError: It cannot be read, was changed, or is no recording.
+        InputError: It cannot be read.
+        RecordingError: It was changed, or is no recording.
     """
     try:
         header, signals = unseal(read_bytes(path, LARGEST, "recording"))
-    except InputError as error:
-        raise RecordingError(f"{error}".rstrip(".")) from None
     except SealError as error:
         raise RecordingError(f"{path}: {error}") from None
     if header.get("schema") != SCHEMA:

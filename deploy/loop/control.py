@@ -25,9 +25,9 @@ STIFFNESS, INTEGRAL, DAMPING = 900.0, 6750.0, 67.5
 """k_p [1/s²], k_i [1/s³], k_d [1/s]: poles near 22 rad/s, slow beside the sampling, fast beside what is asked for."""
 LARGEST_ERROR = 0.02
 """Bound on e and on its integral's share in a [m]: a servo that is held back must not pull ever harder."""
-YIELDING, LARGEST_PUSH = 3.0, 5.0
-"""k_f [m/s² per N], and how much more push adds no more [N]: on 2 kN/m it gives way like a spring of 77 rad/s."""
-LETTING_UP = 40.0
+YIELDING, LARGEST_PUSH = 4.0, 2.5
+"""k_f [m/s² per N], and how much more push adds no more [N]: on 2 kN/m it gives way like a spring of 90 rad/s."""
+LETTING_UP = 200.0
 """Rate at which the push that it may still press falls from that at the beginning to none [N/s]."""
 
 

@@ -60,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: A setting, a fault or a number is wrong.
     """
+    from deploy.bus.interface import check_given
     from deploy.errors import BusError
     from deploy.loop.realtime import PRIORITY, prepared
     from deploy.twin.scenario import twin_settings, unlike_the_simulation
@@ -68,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
 
     _positive("--duration", args.duration)
     _positive("--activate-after", args.activate_after)
+    check_given(args)
     if args.port is None and not hasattr(args, "interface"):
         args.port = PORT
     if args.port is not None and not 0 <= args.port < 65536:

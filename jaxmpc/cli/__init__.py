@@ -138,7 +138,8 @@ def _parser(configured: Sequence[str | None]) -> CommandParser:
     parser.add_argument("--version", action="version", version=_version())
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB")
     for name, verb in VERBS.items():
-        subparser = subparsers.add_parser(name, help=verb.text, description=verb.text[0].upper() + verb.text[1:] + ".")
+        sentence = verb.text[0].upper() + verb.text[1:] + ("" if verb.text.endswith("?") else ".")
+        subparser = subparsers.add_parser(name, help=verb.text, description=sentence)
         if name in configured:
             import_module(verb.module).configure(subparser)
     return parser

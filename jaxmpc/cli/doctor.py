@@ -15,7 +15,7 @@ def run(args: argparse.Namespace) -> int:
     """Look at everything and print it; 1 if something prevents a run.
 
     Raises:
-        InputError: The rate is none.
+        InputError: The rate is none, or the flags of the bus name none of an arm.
     """
     code = doctor.run(args)
     # Last: JAX takes memory and threads that the clock was to be measured without.

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         flight_report(args.report, args.recording.stem, recording, inputs, again, rows, verdict)
         print(f"report: {args.report}")
     if args.picture and find_spec("matplotlib"):
-        _draw(args.picture, recording, f"replayed: {verdict}")
+        _draw(args.picture, recording, f"replayed: {verdict}", artifact.gains.guard is not None)
         print(f"picture: {args.picture}")
     elif args.picture:
         print("picture: none, matplotlib is not installed here: install the workstation, jaxmpc[sim]")
@@ -106,11 +106,11 @@ def _introduce(recording: "FlightRecording", inputs: "RecordedInputs") -> None:
         )
 
 
-def _draw(path: Path, recording: "FlightRecording", parted: str) -> None:
+def _draw(path: Path, recording: "FlightRecording", parted: str, guarded: bool) -> None:
     """The flight, and below it what the replay found."""
     from jaxmpc.pictures.recording_figure import recording_figure
 
     header, names = recording.header, recording.header.get("names")
     why = " ".join(plain(f"{header.get(key) or ''}", 80) for key in ("reason", "detail")).strip() or "as it was to"
     title = f"flight with {plain(str(header.get('artifact')), 80)[:12]}…, ended: {why}"
-    recording_figure(path, recording.signals, names if isinstance(names, dict) else {}, title, parted)
+    recording_figure(path, recording.signals, names if isinstance(names, dict) else {}, title, parted, guarded)

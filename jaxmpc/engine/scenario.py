@@ -32,7 +32,11 @@ def scenario_data(experiment: Experiment, swinging: bool = False) -> ScenarioDat
         experiment: What is met.
         swinging: Whether to ask how the force swings (`Metrics.swing`, else NaN): it costs the linear loop 40 % of its
             time, the arm 1 %.
+
+    Raises:
+        InputError: A value of the experiment is out of bounds, or a recording unusable.
     """
+    _ = experiment.within_bounds
     on_arm = experiment.physics != "linear"
     return ScenarioData(
         np.asarray(experiment.stiffness),

@@ -198,6 +198,18 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
             experiment.arm.resting()
         return experiment
 
+    @cached_property
+    def within_bounds(self) -> bool:
+        """True; what was built in Python meets here the bounds that a file's values meet when it is read.
+
+        Raises:
+            InputError: A value of the wrong type or out of bounds, with its key as in the TOML file.
+        """
+        from jaxmpc.files.toml import convert
+
+        convert(msgspec.to_builtins(self, enc_hook=_plain), Experiment)
+        return True
+
     def check_world(self) -> None:
         """Refuse what the linear world would leave out without a word.
 
@@ -272,3 +284,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         wanted, score = self.scored
         noise = np.random.Generator(np.random.Philox([self.sensor.seed, 1])).standard_normal((self.steps, 3))
         return Signals(self.heart[0], self.sensor.noise * noise, wanted, score)
+
+
+def _plain(value: Any) -> Any:
+    """numpy's numbers as Python's; what is of another kind is told by its name."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else f"{value}"

@@ -122,8 +122,9 @@ def freeze_controller(
 
 def _rows(params: Params, experiment: Experiment, loop: LoopPath) -> list[dict[str, Any]]:
     """Margins of the experiment's loop at its stiffnesses and between them."""
-    between = np.geomspace(min(experiment.stiffness), max(experiment.stiffness), STIFFNESSES)
-    stiffness = np.unique([*experiment.stiffness, *between])
+    own = np.unique(experiment.stiffness)
+    between = np.geomspace(own[0], own[-1], STIFFNESSES) if len(own) > 1 else own[:0]
+    stiffness = np.unique([*own, *between])
     found = margins(params, stiffness, path=loop)
     return _tables(stiffness, found._asdict())
 

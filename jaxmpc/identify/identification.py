@@ -26,6 +26,8 @@ EDGE = 1.5
 """Left out at both ends, where spline and low-pass have data on one side only [periods of the cutoff]."""
 LIGHTEST, HEAVIEST = 0.5, 10.0
 """Masses over the model's [-], between which an experiment can have them."""
+LEAST_EXPLAINED = 0.5
+"""R² of each joint [-]: the sample has 0.9999, and a torque of the other sign has less than none."""
 
 
 class MotionRecording(NamedTuple):
@@ -174,6 +176,12 @@ def identify(recording: MotionRecording, cutoff: float = 15.0, offsets: bool = T
         remedy = "q must be in rad, tau in N m, and a positive tau must turn a joint the way in which its q grows."
         bound = f"between {LIGHTEST:g} and {HEAVIEST:g} times the model's"
         raise InputError("masses", f"{found.mass_scale:.3g} times the model's", bound, remedy)
+    r_squared = 1.0 - np.mean(found.residual**2, axis=0) / np.var(tau, axis=0)
+    worst = int(np.argmin(r_squared))
+    if not r_squared[worst] >= LEAST_EXPLAINED:
+        name, joint = f"tau{worst + 1}", worst + 1
+        remedy = f"Does a positive {name} turn J{joint} the way in which q{joint} grows?"
+        raise InputError(name, f"explained to R² = {r_squared[worst]:.2f}", f"at least {LEAST_EXPLAINED:g}", remedy)
 
     def estimate(row: int) -> FrictionEstimate:
         return FrictionEstimate(found.per_joint[:, row], found.per_joint_error[:, row])
@@ -188,7 +196,7 @@ def identify(recording: MotionRecording, cutoff: float = 15.0, offsets: bool = T
         mass_scale=found.mass_scale,
         mass_scale_error=found.mass_scale_error,
         rms=np.sqrt(np.mean(found.residual**2, axis=0)),
-        r_squared=1.0 - np.mean(found.residual**2, axis=0) / np.var(tau, axis=0),
+        r_squared=r_squared,
         velocity=velocity,
         measured=found.friction + found.residual,
         fitted=found.friction,

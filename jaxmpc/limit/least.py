@@ -82,6 +82,7 @@ def limit_of(
     Raises:
         InputError: An argument makes no sense; no law of the class keeps the bounds; the solver is not installed.
     """
+    _ = experiment.within_bounds
     return least(spectrum_of(experiment, LINES), experiment.loop_path(), stiffness, axis, Demands(M_s, chatter, band))
 
 
@@ -137,7 +138,7 @@ def least(
 
 def _check(stiffness: float, axis: str, demands: Demands) -> None:
     if axis not in AXES:
-        raise InputError("axis", axis, "an axis", nearest(axis, list(AXES)))
+        raise InputError("axis", axis, "an axis", nearest(f"{axis}", list(AXES)))
     if not (np.isfinite(stiffness) and stiffness > 0.0):
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
     check_demands(demands)

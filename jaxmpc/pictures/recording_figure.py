@@ -20,7 +20,12 @@ ROOM = 0.05
 
 
 def recording_figure(
-    path: Path, signals: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]], title: str, parted: str
+    path: Path,
+    signals: Mapping[str, np.ndarray],
+    names: Mapping[str, Sequence[str]],
+    title: str,
+    parted: str,
+    guarded: bool,
 ) -> None:
     """Draw a flight recording.
 
@@ -30,12 +35,16 @@ def recording_figure(
         names: What the numbers of `state` and `reason` stand for.
         title: Above it: who flew, and how it ended.
         parted: What a replay found, below it.
+        guarded: Whether the controller has a guard; every recording has a gain, which is 1 without one.
     """
     t = signals["time"][:, 0]
     force, wanted = signals["force"], signals["force_ref"]
     in_contact = _state(signals, names) == "contact"
-    with figure(path, rows=5, size=(9.0, 10.0)) as axes:
-        *panels, torques, guard = axes
+    # Before contact K̂ is where the search begins, and nothing is known of a tissue.
+    believed = np.where(in_contact[:, None], signals.get("stiffness", np.nan), np.nan)
+    known = bool(np.any(believed > 0.0))
+    with figure(path, rows=4 + (guarded or known), size=(9.0, 10.0)) as axes:
+        panels, torques, last = axes[:3], axes[3], axes[-1]
         for axis, (panel, colour) in enumerate(zip(panels, COLOURS, strict=True)):
             panel.plot(*outline(t, force[:, axis]), color=colour, lw=0.8, label="measured")
             panel.plot(*outline(t, wanted[:, axis]), color="black", lw=0.9, ls="--", label="wanted")
@@ -44,18 +53,22 @@ def recording_figure(
         for joint, colour in enumerate(JOINTS):
             torques.plot(*outline(t, signals["torque"][:, joint]), color=colour, lw=0.7, label=f"J{joint + 1}")
         clamped = (signals["clamped"][:, 0] > 0.0) & in_contact
-        torques.plot(t[clamped], np.zeros(clamped.sum()), "|", color=ACCENT, ms=10.0, label=f"{clamped.sum()} clamped")
+        label = f"{clamped.sum()} clamped in contact"
+        torques.plot(t[clamped], np.zeros(clamped.sum()), "|", color=ACCENT, ms=10.0, label=label)
         torques.set_ylabel("torque [N m]")
-        guard.plot(*outline(t, signals["gain"][:, 0]), color="black", lw=1.0, label="gain left by the guard")
-        guard.set_ylim(-0.05, 1.05)
-        guard.set_ylabel("gain [-]")
-        if "stiffness" in signals and np.any(signals["stiffness"] > 0.0):
-            believed = guard.twinx()
+        if guarded:
+            last.plot(*outline(t, signals["gain"][:, 0]), color="black", lw=1.0, label="gain left by the guard")
+            last.set_ylim(-0.05, 1.05)
+            last.set_ylabel("gain [-]")
+        if known:
+            stiffness = last.twinx() if guarded else last
             for axis, colour in enumerate(COLOURS):
-                believed.plot(t, signals["stiffness"][:, axis], color=colour, lw=0.8, label=f"K̂ {AXES[axis].upper()}")
-            believed.set_ylabel("stiffness found [N/m]")
-            believed.legend(loc="lower right", ncols=3)
-            _leave_room(believed)
+                stiffness.plot(t, believed[:, axis], color=colour, lw=0.8, label=f"K̂ {AXES[axis].upper()}")
+            stiffness.set_ylabel("stiffness believed [N/m]")
+            if guarded:
+                stiffness.grid(visible=False)
+                stiffness.legend(loc="upper left", ncols=3, borderaxespad=0.1, fontsize=8.0)
+                _leave_room(stiffness)
         for panel in axes:
             _shade(panel, t, _state(signals, names), named=panel is panels[0])
             panel.set_xlim(t[0], t[-1])
@@ -64,8 +77,8 @@ def recording_figure(
         for panel in axes[:-1]:
             panel.tick_params(labelbottom=False)
         panels[0].set_title(title, loc="left", pad=18.0, parse_math=False)
-        guard.set_xlabel(f"time since the first cycle [s]; {parted}")
-        guard.figure.align_ylabels(axes)
+        last.set_xlabel(f"time since the first cycle [s]; {parted}")
+        last.figure.align_ylabels(axes)
 
 
 def _state(signals: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]) -> np.ndarray:

@@ -203,6 +203,8 @@ def margins(
     values = jnp.asarray(stiffness, jnp.float64)
     if not isinstance(values, jax.core.Tracer) and not bool(jnp.all((values > 0.0) & jnp.isfinite(values))):
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
+    if not values.size:
+        raise InputError("stiffness", "none", "at least one [N/m]", "Tissue has 300 to 1900.")
     if path is None:
         path = loop_path(delay=delay, ideal=ideal)
     flat = reshaped(params, len(params.batch_shape), -1)

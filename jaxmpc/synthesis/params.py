@@ -15,7 +15,7 @@ from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import FILTERS, HORIZONS, PARAMETERS, ParameterValues
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.published import SETS
-from jaxmpc.synthesis.values import check_values, from_plain, rows_of, tables
+from jaxmpc.synthesis.values import BATCHES, batch_of, check_values, from_plain, rows_of, tables
 
 Architecture = Literal["mpc-aob", "aob", "mpc"]
 Order = Literal[1, 2, 3]
@@ -31,7 +31,7 @@ class Params(eqx.Module, ParameterValues):
     `delta` and `R` only set scales: the controller depends on λ/δ and Q/R alone.
 
     Raises:
-        InputError: A value is not finite or out of its bounds, or H_u exceeds H_p.
+        InputError: A value is not finite or out of its bounds, H_u exceeds H_p, or arrays are of several shapes.
     """
 
     architecture: Architecture = eqx.field(static=True, default="mpc-aob")
@@ -71,9 +71,17 @@ class Params(eqx.Module, ParameterValues):
             remedy = "MPC alone has no model of the tissue to scale: leave it out."
             raise InputError("guarded", self.guarded, 'false with the architecture "mpc"', remedy)
         self._check_knots()
-        values = self.numbers
-        if all(isinstance(value, np.ndarray) for value in values.values()):
-            check_values(values, {each.name: each.default for each in fields(self)})
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        for name in PARAMETERS:
+            if getattr(self, name) is None and name not in FILTERS:
+                raise InputError(name, "None", "a number", f"Its unit is [{PARAMETERS[name].unit}].")
+        # Other leaves stand for numbers: shapes, axes to be mapped over, marks.
+        arrays = {name: value for name, value in self.numbers.items() if isinstance(value, np.ndarray | jax.Array)}
+        batch = batch_of(arrays)
+        known = {name: value for name, value in arrays.items() if not isinstance(value, jax.core.Tracer)}
+        check_values(jax.device_get(known), {each.name: each.default for each in fields(self)}, len(batch))
 
     def _check_knots(self) -> None:
         places = () if self.listening is None else self.listening.stiffness
@@ -190,8 +198,15 @@ class Params(eqx.Module, ParameterValues):
         """One batch of several controllers of the same structure; scalars beside diagonals are widened.
 
         Raises:
-            InputError: The batch is empty, or mixes architectures, disturbance orders, or own filters with none.
+            InputError: The batch is empty, is no sequence of them, or mixes architectures, disturbance orders, own
+                filters with none, or batches of several shapes.
         """
+        if isinstance(batch, Params) or not batch:
+            given = "one Params" if isinstance(batch, Params) else "empty"
+            raise InputError("batch", given, "a list of Params", "Write Params.stack([first, second, …]).")
+        if len(shapes := sorted({p.batch_shape for p in batch})) > 1:
+            remedy = "Stack single controllers, or batches of one shape."
+            raise InputError("batch", " beside ".join(map(str, shapes)), "of one shape", remedy)
         for name in STRUCTURE:
             found = sorted({str(getattr(p, name)) for p in batch})
             if len(found) != 1:
@@ -218,9 +233,11 @@ class Params(eqx.Module, ParameterValues):
             columns: Values per parameter name, shape (n,), or (n, length) for a full diagonal.
 
         Raises:
-            InputError: A name is unknown, a column of another shape, or a value out of bounds; it names the parameter
-                and the first such value.
+            InputError: It is a batch already, a name is unknown, a column of another shape, or a value out of bounds;
+                it names the parameter and the first such value.
         """
+        if self.batch_shape:
+            raise InputError("params", f"a batch {self.batch_shape}", "one controller", "Take one with `params[i]`.")
         rows = rows_of(columns)
         wide: dict[str, Any] = {
             name: np.broadcast_to(value, (rows, *np.shape(value))) for name, value in self.numbers.items()
@@ -232,7 +249,18 @@ class Params(eqx.Module, ParameterValues):
         return Params(**{**wide, **given}, knots=knots, **self.structure)
 
     def __getitem__(self, row: int | slice) -> "Params":
-        """One controller, or a slice, of a batch."""
+        """One controller, or a slice, of a batch.
+
+        Raises:
+            InputError: It is no batch.
+            IndexError: The batch is shorter.
+        """
+        if not self.batch_shape:
+            raise InputError("params", "one controller", "a batch", BATCHES)
+        rows_here = self.batch_shape[0]
+        # JAX takes the last row instead, and iteration would never end.
+        if isinstance(row, int) and not -rows_here <= row < rows_here:
+            raise IndexError(f"row {row} of a batch of {rows_here}")
         rows: Params = jax.tree.map(lambda leaf: leaf[row], self)
         return rows
 

@@ -1,5 +1,6 @@
 """Values of parameters as they come from files, sweeps and callers: read, and refused where no controller has them."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -54,12 +55,37 @@ def from_plain(name: str, value: Any) -> np.ndarray:
     return np.asarray(value + [value[-1]] * (entries - len(value)), np.float64)
 
 
-def check_values(values: Mapping[str, np.ndarray], typical: Mapping[str, Any]) -> None:
+BATCHES = "Make a batch with Params.stack or with_columns."
+
+
+def batch_of(values: Mapping[str, Any]) -> tuple[int, ...]:
+    """Leading dimensions that all numbers of a controller, or of a batch, share.
+
+    Args:
+        values: Arrays by their parameters' names, traced or not.
+
+    Raises:
+        InputError: Some have others; it names the first that differs from most.
+    """
+    counted = Counter(tuple(value.shape) for name, value in values.items() if not PARAMETERS[name].entries)
+    batch: tuple[int, ...] = counted.most_common(1)[0][0] if counted else ()
+    for name, value in values.items() if counted else ():
+        entries = PARAMETERS[name].entries
+        if value.shape != batch and not (entries and value.shape == (*batch, entries)):
+            bound = f"of the shape {batch}, as the other parameters" if batch else "one number"
+            if entries:
+                bound += f", or of the shape {(*batch, entries)}"
+            raise InputError(name, f"an array of the shape {tuple(value.shape)}", bound, BATCHES)
+    return batch
+
+
+def check_values(values: Mapping[str, np.ndarray], typical: Mapping[str, Any], batch: int) -> None:
     """Refuse values that no controller can have; works on whole batches.
 
     Args:
-        values: An array of each parameter, in its unit.
+        values: An array of each parameter whose values are known, in its unit.
         typical: A value of each, for the remedy.
+        batch: How many leading dimensions are the batch's.
 
     Raises:
         InputError: Names the parameter, the first wrong value, the bound and the remedy.
@@ -71,14 +97,14 @@ def check_values(values: Mapping[str, np.ndarray], typical: Mapping[str, Any]) -
             usual = float(np.sqrt(np.prod(PARAMETERS[name].search[:2]))) if typical[name] is None else typical[name]
             remedy = f"Correct {name}; a typical value is {usual} {unit}."
             raise InputError(name, value[wrong].flat[0], f"in [{low:g}, {high:g}] {unit}", remedy)
-    for name in HORIZONS:
+    for name in (name for name in HORIZONS if name in values):
         fractional = values[name] != np.floor(values[name])
         if fractional.any():
             raise InputError(name, values[name][fractional].flat[0], "a whole number of samples", f"Round {name}.")
-    if (values["Hu"] > values["Hp"]).any():
+    if "Hu" in values and "Hp" in values and (values["Hu"] > values["Hp"]).any():
         row = np.flatnonzero(np.ravel(values["Hu"] > values["Hp"]))[0]
         hu, hp = np.ravel(values["Hu"])[row], np.ravel(values["Hp"])[row]
         raise InputError("Hu", f"{hu:g}", f"in [1, Hp (= {hp:g})] samples", "Lower Hu or raise Hp.")
-    batch = values["Khat_s"].ndim
-    if not np.all(np.sum(values["delta"], axis=tuple(range(batch, values["delta"].ndim))) > 0.0):
+    delta = values.get("delta")
+    if delta is not None and not np.all(np.sum(delta, axis=tuple(range(batch, delta.ndim))) > 0.0):
         raise InputError("delta", 0.0, "positive somewhere", "Without weight on the force error nothing is controlled.")

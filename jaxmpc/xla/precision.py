@@ -8,6 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmpc.files.errors import InputError
+from jaxmpc.xla.rows import traced
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -18,11 +21,17 @@ def in_float64(function: Callable[P, R]) -> Callable[P, R]:
     Design and margins lose their digits in float32 (the Riccati equation up to all of them), so they
     always run in float64. To differentiate through them, switch 64-bit on for your own code too:
     `jax.config.update("jax_enable_x64", True)`.
+
+    Raises:
+        InputError: An argument is traced by a program of 32 bits.
     """
 
     @functools.wraps(function)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
         caller_has_float64 = jnp.result_type(float) == jnp.float64
+        if not caller_has_float64 and traced((args, kwargs)):
+            remedy = 'jax.config.update("jax_enable_x64", True) at the start of your program.'
+            raise InputError("jax_enable_x64", False, "on where you differentiate, jit or vmap", remedy)
         with jax.enable_x64(True):
             result = function(*args, **kwargs)
         # A 32-bit caller's JAX would round 64-bit arrays at their next use; numpy keeps them.

@@ -95,6 +95,14 @@ def test_each_wrong_header_has_its_sentence(data, changes, message):
         ({"stiffness": 0.999}, r"stiffness = 0.999: must be in"),
         ({"stiffness": 1.7e308}, r"stiffness = 1.7e\+308: must be in"),
         ({"surplus": 1.0}, "must be a table of"),
+        ({"M_s": -1.0}, "M_s at 1900 N/m = -1: must be at least 1, as of any stable loop"),
+        ({"M_s": 0.999}, "M_s at 1900 N/m = 0.999: must be at least 1"),
+        ({"spectral_radius": -1e308}, r"spectral_radius at 1900 N/m = -1e\+308: must be at least 0"),
+        ({"phase_margin_deg": -33.9}, "phase_margin_deg at 1900 N/m = -33.9: must be above 0"),
+        ({"delay_margin_s": 0.0}, "delay_margin_s at 1900 N/m = 0: must be above 0"),
+        ({"gain_margin_db": "-inf"}, "gain_margin_db at 1900 N/m = -inf: must be above 0"),
+        # What is unstable is told as such, whatever its margins are.
+        ({"spectral_radius": 1.035, "phase_margin_deg": -33.9}, "spectral_radius .* below 1"),
     ],
 )
 def test_each_wrong_margin_has_its_sentence(data, changes, message):

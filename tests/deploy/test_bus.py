@@ -290,7 +290,7 @@ def test_the_flags_are_python_cans():
     ("flags", "says"),
     [
         (("--interface", "virtual", "--channel", "can0; rm"), "the name of a CAN channel"),
-        ((), "or fly against the twin, --lockstep"),
+        ((), r"Name one, as --interface socketcan --channel can0\.$"),
         (("--interface", "virtual", "--channel", "a", "--fd"), "--fd = given: must be left out"),
         (("--interface", "virtual", "--channel", "a", "--bitrate", "500000"), "1 Mbit/s"),
     ],

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from deploy.controller.file import ArtifactError, from_bytes, load, to_bytes
-from jaxmpc.files.sealed import LARGEST, SEAL, seal
+from jaxmpc.files.sealed import LARGEST, SEAL, seal, unseal
 
 
 def sealed(body):
@@ -208,3 +208,21 @@ def test_what_no_freezing_writes_is_refused_at_once(data, make, message):
 
 def test_the_same_entries_written_again_are_the_controller(data):
     assert to_bytes(from_bytes(with_entries(data))) == data
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"kind": "é" * 5000},
+        {"schema": ["é" * 5000]},
+        {"version": "é" * 5000},
+        {"version": 10**4000},
+        {"version": -(10**4000)},
+        {"é" * 5000: 1},
+    ],
+)
+def test_long_words_are_not_repeated_at_length(data, change):
+    header, arrays = unseal(data)
+    with pytest.raises(ArtifactError) as raised:
+        from_bytes(seal(header | change, arrays))
+    assert len(str(raised.value)) < 200

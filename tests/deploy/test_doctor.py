@@ -251,3 +251,17 @@ def test_the_verb(tmp_path, arm_artifact, capsys):
 def test_a_rate_that_is_none(rate):
     with pytest.raises(InputError, match="10000"):
         run("--rate", rate)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--bitrate", "500000"), "--bitrate = 500000: must be 1000000 bit/s"),
+        (("--fd",), "--fd = given: must be left out"),
+        (("--channel", "can0"), r"--interface = left out: .* as --interface socketcan --channel can0\.$"),
+    ],
+)
+def test_flags_of_no_bus_of_an_arm_are_refused_at_once(words, said, monkeypatch):
+    monkeypatch.setattr(doctor, "machine", lambda rate: pytest.fail("the machine was looked at first"))
+    with pytest.raises(InputError, match=said):
+        run(*words)

@@ -11,6 +11,7 @@ import pytest
 from deploy.bus.candump import BusLog
 from deploy.flight.recorder import COLUMNS, SIMULATED, FlightRecorder, RecordingError, read
 from deploy.puck.frame import Frame
+from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import LARGEST, canonical_json, seal
 
 HEADER = {"artifact": "0" * 64, "reason": "late", "T_s": 1e-3, "names": {"state": ["idle", "contact"]}}
@@ -146,11 +147,11 @@ def test_damaged_files_are_refused(tmp_path):
         path.write_bytes(data[:i])
         with pytest.raises(RecordingError):
             read(path)
-    with pytest.raises(RecordingError, match="cannot be read"):
+    with pytest.raises(InputError, match="cannot be read"):
         read(tmp_path)
     with path.open("wb") as file:
         file.truncate(LARGEST + 10)
-    with pytest.raises(RecordingError, match="more than"):
+    with pytest.raises(InputError, match="more than"):
         read(path)
     assert canonical_json(header)  # plain data
 

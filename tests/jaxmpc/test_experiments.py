@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from jaxmpc import Experiment
+from jaxmpc import Experiment, InputError, Params, evaluate
+from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import SensorSettings
 from jaxmpc.experiment.tables import ArmSettings, TissueSettings, softening
 from jaxmpc.world.heart import rhythm, ventilation
@@ -109,8 +110,6 @@ def test_arm_and_linear_loop_ask_the_same_of_a_controller() -> None:
 
 def test_scenarios_of_rhythm_share_one_program() -> None:
     """They differ in data alone, so what one compiles serves the others."""
-    from jaxmpc.engine.scenario import program_spec, scenario_data
-
     others = ("rhythm-steady", "rhythm-bigeminy", "ventilator-hold", "cough", "amplitude-drift")
     nominal = Experiment.published("table-1-wam")
     for experiment in map(Experiment.published, others):
@@ -167,3 +166,33 @@ def test_tissue_is_swapped_from_300_to_1200() -> None:
 
 def test_contact_may_be_lost_only_where_it_is_meant_to_be() -> None:
     assert [name for name in NAMES if not Experiment.published(name).tissue.attached] == ["contact-loss"]
+
+
+WRONG: dict[str, dict[str, Any]] = {
+    "damping": {"damping": "Ideal"},
+    "settle": {"settle": -5.0},
+    "duration": {"duration": float("nan")},
+    "stiffness[0]": {"stiffness": (-810.0,)},
+    "sensor.noise": {"sensor": SensorSettings(noise=-0.01)},
+    "arm.encoder_counts": {"physics": "wam", "arm": ArmSettings(encoder_counts=-4096)},
+    "arm.substeps": {"physics": "wam", "arm": ArmSettings(substeps=0)},
+}
+
+
+@pytest.mark.parametrize("key", WRONG)
+def test_what_is_built_in_python_meets_the_bounds_of_its_file(key: str) -> None:
+    values = {"duration": 3.0, "settle": 1.0, **WRONG[key]}
+    with pytest.raises(InputError) as refused:
+        evaluate(Params(), Experiment(**values))
+    read = {name: msgspec.to_builtins(value) for name, value in values.items()}
+    with pytest.raises(InputError) as of_file:
+        Experiment.from_dict(read)
+    assert refused.value.key == key
+    assert f"{refused.value}" == f"{of_file.value}"
+
+
+def test_bounds_are_met_once_and_by_numbers_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = Experiment(duration=np.float64(1.0), settle=0.2, stiffness=(np.float64(810.0),))
+    scenario_data(experiment)
+    monkeypatch.setattr("jaxmpc.files.toml.convert", None)
+    scenario_data(experiment)

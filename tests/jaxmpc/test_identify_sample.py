@@ -67,3 +67,14 @@ def test_degrees_and_torques_of_the_other_sign_are_told() -> None:
     for wrong in (recording._replace(q=np.rad2deg(recording.q)), recording._replace(tau=-recording.tau)):
         with pytest.raises(InputError, match=r"masses = .* q must be in rad, tau in N m"):
             identify(wrong)
+
+
+@pytest.mark.parametrize("joint", range(4))
+def test_a_torque_of_the_other_sign_in_one_joint_is_told(joint: int) -> None:
+    recording = read_recording(EXAMPLES / f"{SAMPLE}.csv")
+    tau = recording.tau.copy()
+    tau[:, joint] *= -1.0
+    name = f"tau{joint + 1}"
+    told = rf"^{name} = explained to R² = -[12]\.\d\d: must be at least 0\.5\. Does a positive {name} turn J{joint + 1}"
+    with pytest.raises(InputError, match=told):
+        identify(recording._replace(tau=tau))

@@ -227,6 +227,7 @@ def test_a_controller_that_is_unstable_has_no_residual(on_arm: Spectrum) -> None
     ("change", "key"),
     [
         ({"axis": "q"}, "axis"),
+        ({"axis": 0}, "axis"),
         ({"stiffness": -1.0}, "stiffness"),
         ({"M_s": 1.0}, "M_s"),
         ({"chatter": 0.0}, "chatter"),

@@ -7,7 +7,7 @@ import pytest
 
 from deploy.controller.recomputed_margins import differences, margins_at
 from jaxmpc import Experiment, Params, margins
-from jaxmpc.export.freezing import freeze_controller
+from jaxmpc.export.freezing import _rows, freeze_controller
 from jaxmpc.quantities import MARGINS
 
 
@@ -50,6 +50,13 @@ def test_on_any_stiffness_they_are_those_of_the_public_function(frozen):
         design, again = margins(Params.published("text"), stiffness), margins_at(artifact, stiffness)
         assert again["spectral_radius"] == pytest.approx(float(design.spectral_radius), rel=1e-6)
         assert again["M_s"] == pytest.approx(float(design.M_s), rel=1e-3)
+
+
+def test_a_tissue_alone_is_judged_once():
+    """Between 810 and 810 there is nothing, whatever a geometric series rounds to."""
+    experiment = Experiment.from_dict({"stiffness": [810.0]})
+    rows = _rows(Params.published("cautious"), experiment, experiment.loop_path())
+    assert [row["stiffness"] for row in rows] == [810.0]
 
 
 @pytest.mark.oracle

@@ -4,6 +4,7 @@ import re
 import numpy as np
 import pytest
 
+from deploy.cli.run import _guarded
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import to_bytes
 from deploy.twin.faults import parse
@@ -11,7 +12,7 @@ from deploy.twin.peak_force import PeakForces
 from deploy.twin.residual import SETTLE, FlownResiduals
 from jaxmpc.cli import main
 from tests.deploy.conftest import trace
-from tests.deploy.made import LOOP, arm_artifact, margin_row, text_gains
+from tests.deploy.made import LOOP, arm_artifact, guarded_gains, margin_row, text_gains
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +36,7 @@ def test_a_run_that_ends_well_leaves_no_recording_unless_asked(fly, tmp_path):
     assert code == 0
     assert "contact: the controller is in charge" in said.out
     assert "ended: stopped, finished" in said.out
+    assert "guard: none\n" in said.out
     assert not (tmp_path / "flights").exists()
 
 
@@ -145,6 +147,7 @@ def test_without_a_bus_nothing_begins(controller, capsys):
     assert main(["run", str(controller), "--arm", "0" * 8]) == 2
     said = capsys.readouterr()
     assert "--interface = left out: must be given" in said.err
+    assert "or fly against the twin, --lockstep" in said.err
     assert "sha256" not in said.out
 
 
@@ -189,3 +192,24 @@ def test_a_bus_log_is_written_over_nothing(controller, tmp_path, capsys):
 def test_a_fault_that_never_began_is_told():
     lines = PeakForces().report([parse("force:stuck@99")], ["force:stuck@99"], True, 7.3, 15.0)
     assert lines[-1] == "NEVER BEGAN: fault force:stuck@99; the run ended 7.3 s after the twin began"
+
+
+@pytest.mark.parametrize(
+    ("gain", "said"),
+    [
+        ([1.0, 1.0, 1.0, math.nan], "guard: at rest in the last 10.0 s, the gain stayed whole"),
+        ([1.0, 0.3, 0.8, 0.8], "guard: lowest gain in the last 15.0 s 0.30 at 25.0 s, 0.80 at the end"),
+        ([math.nan] * 4, "guard: no gain was recorded"),
+        ([], "guard: no gain was recorded"),
+    ],
+)
+def test_what_a_guard_did_is_told_of_the_recorded_stretch(gain, said):
+    time = 20.0 + 5.0 * np.arange(len(gain))
+    assert _guarded({"gain": np.array(gain)[:, None], "time": time[:, None]}) == said
+
+
+def test_a_flight_with_a_guard_tells_what_it_did(tmp_path, capsys):
+    path = tmp_path / "controller.npz"
+    path.write_bytes(to_bytes(arm_artifact(gains=guarded_gains())))
+    assert main(["run", str(path), "--lockstep", "--rhythm", "none", "--duration", "0.3"]) == 0
+    assert re.search(r"guard: .* in the last \d+\.\d s", capsys.readouterr().out)

@@ -105,6 +105,7 @@ def test_a_terminate_ends_it_too(start):
         (["--activate-after", "nan"], "--activate-after"),
         (["--port", "70000"], "--port"),
         (["--seed", "-1"], "seed"),
+        (["--bitrate", "500000", "--duration", "0.1", "--port", "0"], "1000000 bit/s"),
     ],
 )
 def test_wrong_input_is_a_sentence(arguments, word, capsys):

@@ -31,7 +31,7 @@ def pushed_out(flight):
 def test_a_beat_that_rises_presses_little_more_than_was_wanted(cautious, arm, touching):
     flight = fly(cautious, touching=touching, **RISING, **arm)
     assert flight.reason is Reason.FINISHED
-    assert pushed_out(flight) < 12.0
+    assert pushed_out(flight) < 11.0
 
 
 @pytest.mark.oracle
