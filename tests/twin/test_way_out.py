@@ -71,11 +71,10 @@ def test_nothing_jumps_where_the_servo_takes_over():
 
 
 def test_what_is_pressed_beyond_a_falling_bound_lifts_the_tip():
-    steps = 101  # the bound falls from 5 to 1 N meanwhile
-    found = added([5.0] * steps)
-    assert found[-1] == pytest.approx(YIELDING * LETTING_UP * T_S * (steps - 1))
-    assert added([5.0] * 1000)[-1] == pytest.approx(YIELDING * 5.0)
-    assert added([2.0, 2.0 - LETTING_UP * T_S])[-1] == pytest.approx(0.0)
+    fallen = LETTING_UP * T_S
+    assert added([5.0, 5.0, 5.0 - 2.0 * fallen])[1:] == pytest.approx([YIELDING * fallen, 0.0])
+    steps = round(5.0 / fallen) + 1  # the bound is 0 by then
+    assert added([5.0] * steps + [1.0])[-1] == pytest.approx(YIELDING * 1.0)
 
 
 def test_it_adds_no_more_than_a_bound_and_nothing_to_a_pull():
