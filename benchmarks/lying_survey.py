@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.lying_sensor import GAP, HELD, RATE, fly, moments
+from benchmarks.lying_sensor import GAP, HELD, RATE, contact_of, fly
 from deploy.controller.file import load
 from jaxmpc.world.tissue import KINDS
 
@@ -126,7 +126,7 @@ def _begin(path: Path) -> None:
 
 
 def _contact(cell: Cell) -> float:
-    return moments(_artifact, cell.stiffness, cell.tissue, -2.0)["contact"] - 0.02
+    return contact_of(_artifact, cell.stiffness, cell.tissue)
 
 
 def _row(number: int, case: Case, contact: float, seed: int) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def unchanged() -> np.ndarray:
         {"tissue": {"changes": (Change(2.0, 2.0, 0.05),)}},
         {"sensor": {"lowpass_hz": 250.0}},
         {"sensor": {"lsb": (0.0, 0.0, 0.0)}},
-        {"sensor": {"noise": (0.0, 0.0, 0.0)}},
+        {"sensor": {"noise": 0.0}},
         {"motion": {"seed": 3, "phases": "random"}},
         {"motion": {"scale": 0.5}},
     ],

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks import lying_survey
 from benchmarks.lying_sensor import Flown, contact_of, fly, moments
 from deploy.loop import force_watch, session
 from deploy.safety import force_balance
@@ -108,6 +109,18 @@ def test_half_the_force_is_not_seen_without_the_friction_told_apart(cautious, mo
     found = flown(cautious, "half", "elastic", 810.0, "before")
     assert found.reason is Reason.FINISHED
     assert found.push > 1.7 * 2.0
+
+
+@pytest.mark.oracle
+def test_a_survey_draws_and_flies(cautious, monkeypatch):
+    monkeypatch.setattr(lying_survey, "_artifact", cautious, raising=False)
+    number = next(n for n in range(50) if lying_survey.drawn(0, n).phase == "contact")
+    case = lying_survey.drawn(0, number)
+    contact = lying_survey._contact(lying_survey.Cell(case.tissue, case.stiffness))
+    assert contact == contact_of(cautious, case.stiffness, case.tissue)
+    row = lying_survey._row(number, case, contact, 0)
+    assert 0.0 < row["push"] < LIMIT
+    assert lying_survey.report([row], LIMIT) == 0
 
 
 @pytest.mark.oracle
