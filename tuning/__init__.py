@@ -57,6 +57,6 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
         return assess(history, progress)
     with Beside(1) as beside:
         way = beside.submit(history_figure, history, place / HISTORY)
-        result, found = assess_and(study, history, progress)
-        write(result, found, place, way)
+        result, explaining = assess_and(study, history, progress)
+        write(result, explaining, place, way)
     return result

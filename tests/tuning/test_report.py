@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -195,20 +196,28 @@ def test_a_recording_that_was_tuned_on_is_found_from_anywhere(tmp_path: Path, mo
     assert tuned_on(experiment)["motion"]["file"] == str(tmp_path / "heart.csv")
 
 
-@pytest.mark.slow
-def test_files_are_whole_and_the_page_needs_nothing_else(
-    result: TuneResult, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tuning.reports.files.study", lambda result: study)
-    written = write(result, tmp_path)
-    pictures = {"history", "before_after"}
+def done(found: Any) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(found)
+    return future
+
+
+def test_files_are_whole_and_the_page_needs_nothing_else(result: TuneResult, study: Study, tmp_path: Path) -> None:
+    write(result, done(study), tmp_path, done(None))
     texts = {"params.toml", "experiment.toml", "history.npz", "report.txt", "report.html"}
-    assert {path.name for path in written} == texts | {f"{name}.png" for name in pictures}
-    assert set(tmp_path.iterdir()) == set(written)
+    assert {path.name for path in tmp_path.iterdir()} == texts | {"before_after.png"}
     assert Params.from_toml(tmp_path / "params.toml").lam.shape == (16,)
-    for name in pictures:
-        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "before_after.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == html_report(result, study)
+
+
+def test_what_was_found_is_kept_where_explaining_it_fails(result: TuneResult, tmp_path: Path) -> None:
+    failed: Future[Study] = Future()
+    failed.set_exception(MemoryError())
+    with pytest.raises(MemoryError):
+        write(result, failed, tmp_path, done(None))
+    assert (tmp_path / "params.toml").exists()
+    assert (tmp_path / "report.txt").exists()
 
 
 def test_the_page_says_it_all(result: TuneResult, study: Study) -> None:

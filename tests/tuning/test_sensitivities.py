@@ -21,10 +21,10 @@ from tuning.objective.loss import HEADROOM, PENALTY, value_and_gradient
 from tuning.objective.problem import Problem, over_starts
 from tuning.proof.gradients import SCORE, Slope, judged_on, on_tissue, slopes, values_at
 from tuning.proof.limits import limits, multipliers_of
-from tuning.proof.result import assess
+from tuning.proof.result import assess, assess_and
 from tuning.proof.sensitivities import _per_parameter, log_slopes, sensitivities, vector_of
 from tuning.proof.split import split
-from tuning.reports.explained import _signed
+from tuning.reports.explained import _signed, study
 from tuning.reports.files import write
 from tuning.search.run import run_search
 
@@ -206,10 +206,10 @@ def test_another_structure_before_and_a_goal_that_nobody_meets(small: Job, tmp_p
     tune = {"starts": 2, "steps": 2, "free": {"lam": True, "Khat_s": True}}
     tables = {"baseline": {"disturbance_order": 2, "Q_p": 1e-3}, "goals": {"M_s": 1.01, "rms": 0.02}}
     job = small(tune={**tune, "diagonals": ["lam"]}, **tables)
-    result = assess(run_search(TuneSpec.from_dict(job)))
+    result, explaining = assess_and(study, run_search(TuneSpec.from_dict(job)))
     way: Future[None] = Future()
     way.set_result(None)
-    write(result, tmp_path, way)
+    write(result, explaining, tmp_path, way)
     assert not (tmp_path / "params.toml").exists()
     held = limits(result)
     assert {goal.goal for goal in held.active} == {"M_s", "rms"}

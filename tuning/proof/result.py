@@ -1,6 +1,7 @@
 """What a tuning run found, proven on scenarios that it has not seen."""
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -139,8 +140,8 @@ def assess(history: SearchHistory, show: bool = False) -> TuneResult:
 
 def assess_and(
     explain: Callable[[FoundController], T], history: SearchHistory, show: bool = False
-) -> tuple[TuneResult, T]:
-    """The same, and beside the proof something of the controller that needs none.
+) -> tuple[TuneResult, Future[T]]:
+    """The same, and beside the proof something of the controller that needs none: if that fails, the result stands.
 
     Args:
         explain: What to make of it.
@@ -162,7 +163,7 @@ def assess_and(
             explaining = beside.submit(in_float64(explain), found)
             before, (after,) = versus(spec, candidates[chosen : chosen + 1], met, show)
         runs: Metrics = jax.tree.map(lambda *fields: np.stack(fields), before, after)
-        return TuneResult(**vars(found), heldout=runs, refused=refused), explaining.result()
+        return TuneResult(**vars(found), heldout=runs, refused=refused), explaining
 
 
 def _ranked(spec: TuneSpec, state: SearchState, show: bool) -> list[Params]:

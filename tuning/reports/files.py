@@ -21,12 +21,12 @@ HISTORY = "history.png"
 """Picture of the way to a result."""
 
 
-def write(result: TuneResult, found: Study, folder: Path, way: Future[None]) -> None:
+def write(result: TuneResult, explaining: Future[Study], folder: Path, way: Future[None]) -> None:
     """Write params.toml and experiment.toml (if every goal is met), history.npz, report.txt, the figures, report.html.
 
     Args:
         result: What was found.
-        found: What explains it.
+        explaining: What explains it.
         folder: Where they go.
         way: What draws `HISTORY` there meanwhile.
     """
@@ -42,7 +42,7 @@ def write(result: TuneResult, found: Study, folder: Path, way: Future[None]) -> 
     write_atomic(folder / "report.txt", report(result).encode())
     before_after_figure(result, folder / "before_after.png")
     way.result()
-    write_atomic(folder / "report.html", html_report(result, found).encode())
+    write_atomic(folder / "report.html", html_report(result, explaining.result()).encode())
 
 
 def tuned_on(experiment: Experiment) -> dict[str, Any]:
