@@ -27,7 +27,7 @@ LARGEST_ERROR = 0.02
 """Bound on e and on its integral's share in a [m]: a servo that is held back must not pull ever harder."""
 YIELDING, LARGEST_PUSH = 4.0, 2.5
 """k_f [m/s² per N], and how much more push adds no more [N]: on 2 kN/m it gives way like a spring of 90 rad/s, and the
-tip leaves at 0.18 m/s at most, of the 0.28 that end a run."""
+tip left −10 N at 0.18 m/s at most (docs/robot.md), of the 0.28 that end a run."""
 LETTING_UP = 200.0
 """Rate at which the push that it may still press falls from that at the beginning to none [N/s]."""
 

@@ -185,7 +185,7 @@ class Session:
         bus += f", {counters.malformed + arm.malformed} malformed, {counters.send_errors} refused"
         bus += f", {arm.bus.count_dropped()} dropped unread"
         lost = f"positions: {arm.late} late, {arm.duplicates} twice, {arm.doubtful} doubtful, {arm.jumps} jumps"
-        return [bus, lost, f"largest push in contact: {self.cycle.pushes}", *self.controller.notes()]
+        return [bus, lost, f"largest push in contact and on the way out: {self.cycle.pushes}", *self.controller.notes()]
 
 
 def largest_wanted(artifact: Artifact) -> float:

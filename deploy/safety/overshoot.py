@@ -12,7 +12,7 @@ LEAST = 0.55
 
 
 class Pushes(NamedTuple):
-    """Largest pushes of a run's contact."""
+    """Largest pushes of a run, in contact and on the way out."""
 
     wanted: float = 0.0
     """With the sine by which a family hears the tissue, since that is asked of the tip too [N]."""
@@ -32,7 +32,7 @@ class Pushes(NamedTuple):
 
 
 def pushed(pushes: Pushes, wanted: float, measured: float) -> Pushes:
-    """The largest pushes with a sample of contact more.
+    """The largest pushes with a sample more.
 
     Args:
         pushes: Those before.

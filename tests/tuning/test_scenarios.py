@@ -2,6 +2,7 @@
 
 from typing import Any, get_args
 
+import jax
 import msgspec
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from jaxmpc import Experiment, Params, evaluate
 from jaxmpc.experiment.reference import Reference
 from jaxmpc.files.errors import InputError
-from tuning.job.scenarios import Rhythm, Scenarios, describe, scenario, scenarios
+from tuning.job.scenarios import Rhythm, Scenarios, _data, describe, scenario, scenarios
 from tuning.objective.comparison import compare
 
 ARM = msgspec.structs.replace(Experiment.published("table-1-wam"), duration=0.5, settle=0.1, reference=Reference())
@@ -79,3 +80,13 @@ def test_what_the_linear_world_cannot_show_is_refused(settings: dict[str, Any], 
     with pytest.raises(InputError) as caught:
         Scenarios(**settings).check(Experiment.published("table-1"))
     assert caught.value.key == key
+
+
+def test_the_arrays_of_a_scenario_are_made_once_for_each_precision() -> None:
+    short = msgspec.structs.replace(Experiment.published("table-1-wam"), duration=3.0, settle=2.0)
+    once, again = (scenarios(short, Scenarios(), [1000])[0] for _ in range(2))
+    made = _data(once, True, jax.config.jax_enable_x64)
+    assert _data(again, True, jax.config.jax_enable_x64) is made
+    with jax.enable_x64(not jax.config.jax_enable_x64):
+        other = _data(again, True, jax.config.jax_enable_x64)
+    assert other is not made

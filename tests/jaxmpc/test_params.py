@@ -1,0 +1,95 @@
+"""What numbers a controller, or a batch of them, may be built of in Python."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmpc import InputError, Params, margins
+from jaxmpc.quantities import HP_MAX
+
+BATCH = Params.stack([Params(), Params()])
+
+
+@pytest.mark.parametrize(
+    ("values", "key"),
+    [
+        ({"lam": jnp.asarray(-0.1)}, "lam"),
+        ({"K2": -1.0, "Khat_s": jnp.asarray(900.0)}, "K2"),
+        ({"K2": float("nan"), "Khat_s": jnp.asarray(900.0)}, "K2"),
+        ({"Hu": jnp.asarray(15.0), "Hp": 3}, "Hu"),
+        ({"Hp": jnp.asarray(3.5)}, "Hp"),
+        ({"delta": jnp.zeros(HP_MAX)}, "delta"),
+        ({"Khat_s": np.array([500.0, 900.0])}, "Khat_s"),
+        ({"K2": [10.0, 20.0]}, "K2"),
+        ({"lam": [0.1, 0.2]}, "lam"),
+        ({"K2": None}, "K2"),
+    ],
+)
+def test_no_controller_has_such_numbers(values: dict[str, Any], key: str) -> None:
+    with pytest.raises(InputError) as refused:
+        Params(**values)
+    assert refused.value.key == key
+
+
+def test_what_is_known_is_checked_beside_what_is_traced() -> None:
+    def built(lam: Any, **values: Any) -> Any:
+        return Params(lam=lam, **values).lam
+
+    assert jax.jit(built)(-1.0) == jax.grad(built)(-1.0) * -1.0 == -1.0
+    assert jax.vmap(built)(jnp.arange(3.0)).shape == (3,)
+    for values in ({"K2": -1.0}, {"Hp": 3, "Hu": 5}, {"K2": np.ones(2)}):
+        with pytest.raises(InputError):
+            jax.jit(lambda lam, values=values: built(lam, **values))(0.1)
+
+
+def test_shapes_and_other_marks_may_stand_for_numbers() -> None:
+    shapes = jax.eval_shape(lambda: Params(K2=jnp.asarray(1.0)))
+    assert replace(shapes, Hu=2).Hu == 2
+    marks = jax.tree.map(lambda _: object(), Params())
+    assert len({id(mark) for mark in jax.tree.leaves(marks)}) == len(Params().numbers)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (
+            lambda: replace(BATCH, K2=20.0),
+            r"K2 = an array of the shape \(\): must be of the shape \(2,\).* with_columns",
+        ),
+        (lambda: BATCH.with_columns({"lam": [1.0, 2.0]}), r"a batch \(2,\): must be one controller"),
+        (lambda: list(Params()), "one controller: must be a batch"),
+        (lambda: Params.stack(Params()), "one Params: must be a list of Params"),
+        (lambda: Params.stack([]), "empty: must be a list of Params"),
+        (lambda: margins(Params(), []), "stiffness = none: must be at least one"),
+        (lambda: Params.stack([BATCH, Params.stack([Params()] * 3)]), "must be of one shape"),
+    ],
+)
+def test_what_is_no_batch_is_told(wrong: Callable[[], Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        wrong()
+
+
+def test_a_batch_ends_where_its_rows_do() -> None:
+    for batch in (BATCH, jax.tree.map(jnp.asarray, BATCH)):
+        assert [float(one.K2) for one in batch] == [10.0, 10.0]
+        assert float(batch[-1].K2) == 10.0
+        with pytest.raises(IndexError, match="row 2 of a batch of 2"):
+            batch[2]
+
+
+@pytest.mark.parametrize("transform", [jax.grad, jax.jit, jax.vmap])
+def test_programs_of_32_bits_are_told_to_switch_64_on(transform: Callable[..., Any]) -> None:
+    def peak(params: Params) -> Any:
+        return margins(params, 810.0).M_s
+
+    params = BATCH if transform is jax.vmap else Params()
+    with jax.enable_x64(False):
+        assert np.asarray(peak(params)).dtype == np.float64
+        with pytest.raises(InputError, match="jax_enable_x64 = False: must be on"):
+            transform(peak)(params)
+    transform(peak)(params)
