@@ -151,6 +151,8 @@ def _check_effect(spec: SweepSpec) -> None:
     changes += [] if refine is None or refine.rerun is None else [refine.rerun.experiment]
     met = [spec.experiment, *(spec.on(each).experiment for each in changes)]
     linear = "physics" not in swept and all(each.physics == "linear" for each in met)
+    if linear:
+        _check_ranked(spec)
     for name in sorted(swept):
         if linear and name.startswith(("arm.", "tissue.")):
             raise _idle(name, "where runs are on the arm: the linear loop has none", 'Set experiment.physics = "wam".')
@@ -168,6 +170,23 @@ def _check_effect(spec: SweepSpec) -> None:
             if not any(each.motion.drawn for each in met):
                 remedy = 'Set motion.kind = "rhythm" or motion.phases = "random".'
                 raise _idle(name, "where something of the heart's motion is drawn", remedy)
+
+
+def _check_ranked(spec: SweepSpec) -> None:
+    """Refuse to rank rows of the linear loop by what is measured on the arm alone.
+
+    Raises:
+        InputError: They would be.
+    """
+    front = spec.refine.goals if spec.refine is not None and spec.refine.method == "pareto" else ()
+    for key, names in (
+        ("sweep.best", [spec.goal.best]),
+        ("sweep.constraints", spec.goal.constraints),
+        ("refine.goals", front),
+    ):
+        if "swing" in names:
+            remedy = 'Only on the arm it is measured: set experiment.physics = "wam", or take another metric.'
+            raise InputError(key, "swing", "what sweeps of the linear loop measure", remedy)
 
 
 def _idle(name: str, where: str, remedy: str) -> InputError:

@@ -131,7 +131,8 @@ def check(args: argparse.Namespace) -> None:
         raise InputError("--interface", args.interface, "one that the watchdog can open, too", remedy)
     if args.reference == "-" and args.arm is None and not args.lockstep:
         raise InputError("--arm", "left out", "given with --reference -", "Standard input is the wanted force there.")
-    if args.sensor.partition(":")[0] not in ("can", "jr3"):
+    kind, _, device = args.sensor.partition(":")
+    if kind not in ("can", "jr3") or (kind == "can" and device):
         raise InputError("--sensor", args.sensor, "can or jr3:DEVICE", "For example jr3:/dev/comedi0.")
     _mount(args.mount)
 

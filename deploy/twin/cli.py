@@ -70,6 +70,9 @@ def run(args: argparse.Namespace) -> int:
     _positive("--duration", args.duration)
     _positive("--activate-after", args.activate_after)
     check_given(args)
+    if not hasattr(args, "interface") and hasattr(args, "channel"):
+        remedy = "Name the interface too, as -i socketcan -c can0; without one the twin has a bus of its own, --port."
+        raise InputError("--channel", args.channel, "given with --interface", remedy)
     if args.port is None and not hasattr(args, "interface"):
         args.port = PORT
     if args.port is not None and not 0 <= args.port < 65536:

@@ -113,6 +113,13 @@ def unlike_the_simulation(experiment: str | None, rhythm: str | None) -> list[st
     return found
 
 
+EXPERIMENT = (
+    *("name", "physics", "damping", "duration", "settle", "stiffness", "sampling_time", "delay", "force_limit"),
+    *("velocity_lowpass", "motion", "reference", "sensor", "tissue", "arm"),
+)
+"""Keys of an experiment's file, written out here: `jaxmpc.experiment.Experiment`, which has them, needs JAX."""
+
+
 class _Loop(Struct):
     """What of an experiment stands in no table."""
 
@@ -125,6 +132,9 @@ def _of_experiment(name: str) -> dict[str, Any]:
     path = _file_of(name)
     data = read_toml(path)
     with located(path):
+        for key, value in data.items():
+            if key not in EXPERIMENT:
+                raise InputError(key, value, "a known key", nearest(key, list(EXPERIMENT)))
         arm: ArmSettings = _table(data, "arm", ArmSettings)
         tissue: TissueSettings = _table(data, "tissue", TissueSettings)
         motion: Motion = _table(data, "motion", Motion)

@@ -97,7 +97,7 @@ def contender_from(text: str) -> "Contender":
 
     given, place = name_and_place(text)
     path = Path(place)
-    if path.is_dir():
+    if place and path.is_dir():
         file = tuned_file(path)
         return Contender(given or path.name, Params.from_toml(file), f"tuned, {file}")
     if path.suffix == ".npz":

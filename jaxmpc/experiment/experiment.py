@@ -71,6 +71,15 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     arm: ArmSettings = ArmSettings()
 
     def __post_init__(self) -> None:
+        try:
+            self._check_together()
+        except (TypeError, AttributeError):
+            # Of a file types have been checked before; in Python a value of another type gets as far as here.
+            _ = self.within_bounds
+            raise
+
+    def _check_together(self) -> None:
+        """Refuse values that do not go together."""
         plain_name("name", self.name)
         if not self.stiffness:
             raise InputError("stiffness", "[]", "at least one stiffness [N/m]", "The paper has [375.0, 810.0, 1900.0].")

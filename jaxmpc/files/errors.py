@@ -72,23 +72,23 @@ def plain_name(key: str, name: str) -> str:
     if odd is None and 0 < len(name) <= 100 and name[0] not in ".- " and name == name.strip():
         return name
     bound = "a plain name of at most 100 letters, digits, spaces and ._+-()[]=, that begins with none of `.- `"
-    raise InputError(key, name or "empty", bound, "It becomes the name of a file.")
+    raise InputError(key, name, bound, "It becomes the name of a file.")
 
 
-def nearest(name: str, known: list[str]) -> str:
-    """A remedy for an unknown name: the likeliest meant one, and all that exist."""
+def nearest(name: Any, known: list[str]) -> str:
+    """A remedy for an unknown name, or for what is none: the likeliest meant one, and all that exist."""
     import difflib
 
     # Dashes of options would make any two of them alike.
     bare = {each.lstrip("-"): each for each in known}
-    close = difflib.get_close_matches(name[:LONGEST_VALUE].lstrip("-"), bare, n=1)
+    close = difflib.get_close_matches(_text_of(name)[:LONGEST_VALUE].lstrip("-"), bare, n=1)
     hint = f"Did you mean {bare[close[0]]!r}? " if close else ""
     return f"{hint}Known: {', '.join(known)}."
 
 
 def _text_of(value: Any) -> str:
-    """A value as text; a number too long to be written, or what is nested too deep, by its kind."""
+    """A value as text, never an empty one; a number too long to be written, or what is nested too deep, by its kind."""
     try:
-        return f"{value}"
+        return f"{value}" or "empty"
     except (ValueError, RecursionError):
         return f"a huge {type(value).__name__}"

@@ -17,9 +17,13 @@ _CUTOFF: SearchRange = (30.0, 3e3, 1.0)
 
 
 def _array(value: Any) -> Any:
-    """Numbers become float64 arrays; what is an array already, traced or not, and what is left open stay so."""
-    kept = value is None or (hasattr(value, "dtype") and not np.isscalar(value))
-    return value if kept else np.asarray(value, np.float64)
+    """Numbers become float64 arrays; what is an array already, traced or not, left open or no number stays as it is."""
+    if value is None or (hasattr(value, "dtype") and not np.isscalar(value)):
+        return value
+    try:
+        return np.asarray(value, np.float64)
+    except (TypeError, ValueError):  # whoever knows its name says so
+        return value
 
 
 def _number(default: float | None, unit: str, text: str, symbol: str, **row: Any) -> Any:

@@ -75,8 +75,9 @@ class Params(eqx.Module, ParameterValues):
 
     def _check_numbers(self) -> None:
         for name in PARAMETERS:
-            if getattr(self, name) is None and name not in FILTERS:
-                raise InputError(name, "None", "a number", f"Its unit is [{PARAMETERS[name].unit}].")
+            value = getattr(self, name)
+            if isinstance(value, str | list | dict) or (value is None and name not in FILTERS):
+                raise InputError(name, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
         # Other leaves stand for numbers: shapes, axes to be mapped over, marks.
         arrays = {name: value for name, value in self.numbers.items() if isinstance(value, np.ndarray | jax.Array)}
         batch = batch_of(arrays)
@@ -84,6 +85,10 @@ class Params(eqx.Module, ParameterValues):
         check_values(jax.device_get(known), {each.name: each.default for each in fields(self)}, len(batch))
 
     def _check_knots(self) -> None:
+        if not isinstance(self.listening, Listening | None):
+            raise InputError("listening", self.listening, "a Listening", "`Params.from_dict` takes a table for it.")
+        if not isinstance(self.knots, tuple):
+            raise InputError("knots", self.knots, "a tuple of Params", "One for each stiffness that listening names.")
         places = () if self.listening is None else self.listening.stiffness
         if len(places) != len(self.knots):
             remedy = "Give [params.listening] a stiffness for every [[params.knots]]."

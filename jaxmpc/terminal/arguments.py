@@ -27,7 +27,11 @@ def name_and_place(text: str) -> tuple[str, str]:
 
 
 def params_from(text: str) -> "Params":
-    """A published parameter set by name, whatever lies here under it; else a params.toml, or a tuning run's folder."""
+    """A published parameter set by name, whatever lies here under it; else a params.toml, or a tuning run's folder.
+
+    Raises:
+        InputError: It is none of these, or cannot be read.
+    """
     from jaxmpc.synthesis.params import Params
     from jaxmpc.synthesis.published import SETS
 
@@ -68,4 +72,5 @@ def experiment_from(text: str) -> "Experiment":
 
 
 def _is_path(text: str) -> bool:
-    return text.endswith(".toml") or "/" in text or Path(text).exists()
+    # The path of an empty text is the folder one is in.
+    return text.endswith(".toml") or "/" in text or (text != "" and Path(text).exists())

@@ -1,6 +1,7 @@
 """Where to look next: rows that survive a stage, and new rows around a front. Both follow from the results alone."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from jaxmpc.quantities import HORIZONS, MARGINS
 from sweeps.axis import SweepAxis, whole
 from sweeps.goal import SweepGoal
 from sweeps.result import Result
-from sweeps.space import SweepSpace
+from sweeps.space import Factor, SweepSpace
 
 REACH = 0.1
 """Standard deviation of the first round around a front, over the range of an axis; each further one halves it [-]."""
@@ -34,14 +35,17 @@ def survivors(result: Result, keep: int) -> tuple[int, ...]:
     return tuple(sorted(result["row"][list(dict.fromkeys(order))[:keep]].tolist()))
 
 
-def around(result: Result, goals: tuple[str, ...], points: int, seed: int, number: int) -> SweepSpace:
+def around(
+    result: Result, factors: Sequence[Factor], goals: tuple[str, ...], points: int, seed: int, number: int
+) -> SweepSpace:
     """New rows around the front of a result, none of which is there already.
 
-    Each is a member of the front whose numbers are moved, in the scale of their axes and within their ranges; lists and
-    choices stay as they are.
+    Each is a member of the front whose numbers are moved, in the scale of their axes and within their ranges; lists,
+    choices and what is zipped with them stay as they are.
 
     Args:
         result: All rows so far.
+        factors: Axes of the sweep; those of one factor, which are zipped, move together.
         goals: What spans the front.
         points: How many rows at most.
         seed: Of what is drawn.
@@ -54,8 +58,13 @@ def around(result: Result, goals: tuple[str, ...], points: int, seed: int, numbe
     base = found if len(found) else result.take(slice(1))
     random = np.random.Generator(np.random.Philox(key=np.array([seed, number], np.uint64)))
     parents = np.arange(points) % len(base)
-    moves = random.standard_normal((points, len(result.axes))) * REACH / 2.0 ** (number - 1)
-    columns = {axis.name: _moved(axis, base[axis.name][parents], moves[:, i]) for i, axis in enumerate(result.axes)}
+    moves = random.standard_normal((points, len(factors))) * REACH / 2.0 ** (number - 1)
+    columns = {
+        axis.name: _moved(axis, base[axis.name][parents], moves[:, i]) if movable else base[axis.name][parents]
+        for i, factor in enumerate(factors)
+        for movable in [all(axis.scale in ("linear", "log") for axis in factor)]
+        for axis in factor
+    }
     space = result.plan.space
     if {"Hp", "Hu"} <= set(columns):
         columns["Hu"] = np.minimum(columns["Hu"], columns["Hp"])
@@ -87,8 +96,7 @@ def listed(result: Result, table: np.ndarray) -> SweepSpace:
 
 
 def _moved(axis: SweepAxis, entries: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    if axis.scale not in ("linear", "log"):
-        return entries
+    """Entries moved by shares of their range."""
     low, high = min(axis.values), max(axis.values)
     if axis.scale == "log":
         moved = np.exp(np.log(entries) + moves * math.log(high / low))

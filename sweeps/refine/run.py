@@ -100,7 +100,8 @@ def _legs(spec: SweepSpec, refine: RefineTable, done: list[tuple[str, Result]]) 
     yield Leg(f"{len(done)}{FULL}", _only(plain, wanted))
     if refine.method == "pareto":
         for number in range(1, refine.rounds + 1):
-            space = around(merged([result for _, result in done]), refine.goals, refine.points, refine.seed, number)
+            before = merged([result for _, result in done])
+            space = around(before, spec.space.factors, refine.goals, refine.points, refine.seed, number)
             if space.count:
                 yield Leg(f"{len(done)}{AROUND}", replace(plain, space=space))
     if refine.rerun is not None:

@@ -191,6 +191,13 @@ def test_what_is_built_in_python_meets_the_bounds_of_its_file(key: str) -> None:
     assert f"{refused.value}" == f"{of_file.value}"
 
 
+@pytest.mark.parametrize(("key", "value"), [("name", 3), ("duration", "long"), ("motion", 3), ("arm", "stiff")])
+def test_values_of_another_type_are_told_by_their_key(key: str, value: Any) -> None:
+    with pytest.raises(InputError) as refused:
+        Experiment(**{"physics": "wam", key: value})
+    assert refused.value.key == key
+
+
 def test_bounds_are_met_once_and_by_numbers_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = Experiment(duration=np.float64(1.0), settle=0.2, stiffness=(np.float64(810.0),))
     scenario_data(experiment)

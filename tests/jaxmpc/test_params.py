@@ -28,6 +28,11 @@ BATCH = Params.stack([Params(), Params()])
         ({"K2": [10.0, 20.0]}, "K2"),
         ({"lam": [0.1, 0.2]}, "lam"),
         ({"K2": None}, "K2"),
+        ({"K2": "fast"}, "K2"),
+        ({"lam": [0.1, "a"]}, "lam"),
+        ({"delta": {"first": 0.9}}, "delta"),
+        ({"listening": 3}, "listening"),
+        ({"knots": 3}, "knots"),
     ],
 )
 def test_no_controller_has_such_numbers(values: dict[str, Any], key: str) -> None:

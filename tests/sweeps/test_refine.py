@@ -17,6 +17,7 @@ from jaxmpc.synthesis.params import Params
 from sweeps.axis import SweepAxis
 from sweeps.merging import merge
 from sweeps.plan import make_plan
+from sweeps.refine.proposal import around
 from sweeps.refine.run import run as refine
 from sweeps.result import merged
 from sweeps.run import run
@@ -100,6 +101,24 @@ def test_rows_around_the_front_move_it_and_are_the_same_every_time(tmp_path: Pat
     assert any(result.decided is not None for result in rounds)
     other = refine(spec, tmp_path / "other")
     assert [result.hash for _, result in other.stages] == [result.hash for _, result in found.stages]
+
+
+def test_zipped_numbers_stay_together_around_a_front(tmp_path: Path) -> None:
+    sweep = {key: value for key, value in DATA["sweep"].items() if key not in ("axes", "rows", "seed")} | {
+        "kind": "grid",
+        "zip": [
+            {"lam": {"log": [0.01, 1.0], "points": 4}, "K2": {"linear": [10.0, 40.0], "points": 4}},
+            {"T_cl": {"log": [0.001, 0.01], "points": 2}, "R": [1.0, 2.0]},
+        ],
+    }
+    spec = SweepSpec.from_dict({**DATA, "sweep": sweep})
+    full = run(spec, tmp_path / "full")
+    space = around(full, spec.space.factors, ("rms", "M_s"), 30, 1, 1)
+    lam, K2, T_cl, _ = (np.array(axis.values) for axis in space.axes)
+    assert len(set(lam)) > 10
+    np.testing.assert_allclose((K2 - 10.0) / 30.0, np.log(lam / 0.01) / np.log(100.0), atol=1e-12)
+    # A list has nothing between its values, nor has what is zipped with it.
+    assert set(T_cl) <= set(full["T_cl"])
 
 
 @pytest.mark.oracle

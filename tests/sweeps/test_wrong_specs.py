@@ -64,6 +64,12 @@ WRONG = {
         ["sweep.axes.arm.cable_hz", "the linear loop has none", "wam"],
     ),
     "duplicate key": ('kind = "grid"', 'kind = "grid"\nkind = "grid"', ["spec.toml:13", "kind"]),
+    "a swing of the linear loop": ("[sweep]", '[sweep]\nbest = "swing"', ["sweep.best", "swing", "the linear loop"]),
+    "a limited swing of it": (
+        "[sweep]",
+        "[sweep]\nconstraints = { M_s = 2.0, swing = 0.1 }",
+        ["sweep.constraints", "swing", "the linear loop"],
+    ),
     "text for a number": ("[3, 10]", '[3, "10"]', ["sweep.axes.Hp", "a number"]),
     "a number for an axis": ("[3, 10]", "3", ["sweep.axes.Hp", "a list or a range"]),
     "unknown key of an axis": ("points = 3", "pionts = 3", ["sweep.axes.T_cl.pionts", "Did you mean 'points'"]),

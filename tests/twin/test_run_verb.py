@@ -96,6 +96,7 @@ def test_a_fault_is_recorded_named_and_replayed(fly, tmp_path, controller, capsy
         (["--duration", "0"], ["--duration", "86400"]),
         (["--approach-speed", "500"], ["--approach-speed", "50"]),
         (["--sensor", "ati"], ["--sensor", "jr3"]),
+        (["--sensor", "can:7"], ["--sensor", "can or jr3:DEVICE"]),
         (["--rate", "inf"], ["--rate", "100"]),
     ],
 )
@@ -170,7 +171,7 @@ def test_what_would_have_no_effect_is_refused(controller, words, key, capsys):
 @pytest.mark.parametrize(
     "text",
     [
-        *("stiffness = 900.0", 'stiffness = ["a"]', 'delay = "x"', "delay = true", "sensor = 3"),
+        *("stifness = [900.0]", "stiffness = 900.0", 'stiffness = ["a"]', 'delay = "x"', "delay = true", "sensor = 3"),
         *("[sensor]\nlsb = 0.006", "[sensor]\nnois = 0.01", '[sensor]\nnoise = "a"'),
     ],
 )

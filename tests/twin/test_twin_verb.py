@@ -9,10 +9,12 @@ import sys
 import time
 
 import can
+import msgspec
 import pytest
 
 from deploy.puck import codec
-from jaxmpc import cli
+from deploy.twin.scenario import EXPERIMENT
+from jaxmpc import Experiment, cli
 
 CODE = "import sys; from jaxmpc import cli; sys.exit(cli.main(sys.argv[1:]))"
 
@@ -105,6 +107,7 @@ def test_a_terminate_ends_it_too(start):
         (["--activate-after", "nan"], "--activate-after"),
         (["--port", "70000"], "--port"),
         (["--seed", "-1"], "seed"),
+        (["--channel", "can0", "--duration", "0.1"], "--interface"),
         (["--bitrate", "500000", "--duration", "0.1", "--port", "0"], "1000000 bit/s"),
     ],
 )
@@ -113,6 +116,10 @@ def test_wrong_input_is_a_sentence(arguments, word, capsys):
     error = capsys.readouterr().err
     assert word in error
     assert error.count("\n") == 1
+
+
+def test_the_keys_of_an_experiment_are_known_without_it():
+    assert {field.name for field in msgspec.structs.fields(Experiment)} == set(EXPERIMENT)
 
 
 def test_a_taken_port_is_a_failure(capsys):

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     from tuning.trials import run as run_trials
     from tuning.trials.linear_margins import COLUMNS, TISSUES, margins_table
 
-    given = [name_and_place(text) for text in (args.params, args.against) if text]
+    given = [name_and_place(text) for text in (args.params, args.against) if text is not None]
     controllers = tuple(params_from(place) for _, place in given)
     names = [name or place for name, place in given]
     names = names if len(set(names)) == len(names) else [names[0], f"{names[1]} (2)"]
