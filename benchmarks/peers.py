@@ -125,16 +125,16 @@ def numpy_loop(gains: Gains, contacts: Contact, scene: ScenarioData, dtype: Any)
 
 def loop_system(gains: Gains, contact: Contact) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """State-space matrices of one closed loop from heart, noise and reference to the measured force."""
-    size = 12
+    size = 13
 
     def step(state: Sequence[float], heart: float, noise: float, ref: float) -> tuple[list[float], float]:
-        x_hat, (p, u, v, x, xdot, velocity, force, newest, older) = tuple(state[:3]), state[3:]
-        plant = world.ContactState(x, xdot, velocity, force, (newest, older))
+        x_hat, (p, u, v, *tip, newest, older) = tuple(state[:3]), state[3:]
+        plant = world.ContactState(*tip, (newest, older))
         measured, plant = world.sense(contact, plant, heart)
         measured = measured + noise
         controller, v = cascade.step(gains, cascade.AxisState(x_hat, p, u, v), measured, (ref,))
         plant, _ = world.move(contact, plant, v)
-        flat = [*controller.x_hat, controller.p_hat, controller.u, controller.v, *plant[:4], *plant.pending]
+        flat = [*controller.x_hat, controller.p_hat, controller.u, controller.v, *plant[:-1], *plant.pending]
         return flat, measured
 
     columns = [step(row, 0.0, 0.0, 0.0) for row in np.eye(size)]

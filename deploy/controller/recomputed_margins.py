@@ -32,6 +32,8 @@ pure one here, and a narrow resonance may lie between the points of the grid."""
 LOWEST, POINTS = 1e-3, 500
 """Angles θ = ω T_s from there to π, log-spaced [rad]; features between them are zoomed in on."""
 ZOOMED, ZOOMS = 17, 4
+TIP = 7
+"""Numbers that the tip remembers: position, velocity, displacement, both measurements and two commands."""
 
 
 class OpenLoop(NamedTuple):
@@ -51,8 +53,13 @@ class OpenLoop(NamedTuple):
 
 
 class TipOnTissue(NamedTuple):
-    """A tip that presses on a tissue, between samples: x⁺ = x + φ₁ ẋ + γ₁ a, ẋ⁺ = φ₂ ẋ + γ₂ a."""
+    """A tip that presses on a tissue, between samples: x⁺ = x + φ₁ ẋ + γ₁ a, ẋ⁺ = φ₂ ẋ + γ₂ a.
 
+    Its velocity is measured as the difference of positions over T_s, behind a low-pass.
+    """
+
+    T_s: float
+    """[s]"""
     stiffness: float
     """[N/m]"""
     phi: tuple[float, float]
@@ -110,14 +117,14 @@ def _contact(artifact: Artifact, stiffness: float) -> TipOnTissue:
     second = (T_s - first) / inside if inside else 0.5 * T_s * T_s
     velocity, sensor = (math.exp(-cut * T_s) if cut else 0.0 for cut in (loop.velocity_cutoff, loop.sensor_cutoff))
     phi = (first, 1.0 - inside * first)
-    return TipOnTissue(stiffness, phi, (second, first), artifact.K2 - inside, velocity, sensor, loop.delay == 2)
+    return TipOnTissue(T_s, stiffness, phi, (second, first), artifact.K2 - inside, velocity, sensor, loop.delay == 2)
 
 
 def _cut(gains: Gains, contact: TipOnTissue, at_a: bool) -> OpenLoop:
     """The loop's matrices, column by column."""
     size = len(_numbers(cascade.init(gains, 0.0)))
     columns = []
-    for vector in np.eye(size + 6 + 1).tolist():
+    for vector in np.eye(size + TIP + 1).tolist():
         *state, w = vector
         following, out = _step(gains, contact, state[:size], state[size:], w, at_a)
         columns.append([*following, out])
@@ -133,15 +140,17 @@ def _step(
     state: cascade.AxisState = map_leaves(lambda _: next(numbers), cascade.init(gains, 0.0))
     # Without gain (MPC alone) the active state stays at its start, zero: it is no mode of the loop.
     state = state if gains.K[3] else state._replace(p_hat=0.0)
-    x, xdot, velocity, force, newest, older = tip
+    x, xdot, moved, velocity, force, newest, older = tip
     force = contact.stiffness * x + contact.sensor_pole * (force - contact.stiffness * x)
-    velocity = xdot + contact.velocity_pole * (velocity - xdot)
+    measured = moved / contact.T_s
+    velocity = measured + contact.velocity_pole * (velocity - measured)
     state, v = cascade.step(gains, state, force, (0.0,))
     damping = contact.K2 * velocity
     applied = older if contact.late else newest
-    x, xdot = x + contact.phi[0] * xdot + contact.gamma[0] * applied, contact.phi[1] * xdot + contact.gamma[1] * applied
-    moved = [x, xdot, velocity, force, w if at_a else w - damping, newest]
-    return [*_numbers(state), *moved], v - damping if at_a else v
+    moved = contact.phi[0] * xdot + contact.gamma[0] * applied
+    xdot = contact.phi[1] * xdot + contact.gamma[1] * applied
+    tip = [x + moved, xdot, moved, velocity, force, w if at_a else w - damping, newest]
+    return [*_numbers(state), *tip], v - damping if at_a else v
 
 
 def _numbers(state: cascade.AxisState) -> list[float]:

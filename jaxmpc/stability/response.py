@@ -26,7 +26,7 @@ class Filters(NamedTuple):
     force: Response
     """Measured force per displacement of the tip: sensor and tissue [N/m]."""
     damping: Response
-    """Damping per velocity of the tip: low-pass and K₂ [1/s]."""
+    """Damping per measured velocity of the tip: low-pass and K₂ [1/s]."""
 
 
 def filters(contact: Contact, q: Response) -> Filters:
@@ -60,15 +60,15 @@ def closed_loop(gains: Gains, contact: Contact, theta: Any) -> ClosedLoop:
 
 def closed_around(controller: Any, contact: Contact, theta: Any) -> ClosedLoop:
     """The same with any linear controller, given by its response C = V/Y at these angles [m/s²/N]."""
-    x, xdot = tip_response(contact, theta)
+    x, velocity = tip_response(contact, theta)
     force, damping = filters(contact, turned(-theta))
     early = turned(theta * (1.0 + contact.extra_delay))
-    whole = 1.0 + damping * xdot - force * x * controller
-    return ClosedLoop(controller, force, damping * xdot, x, early, whole)
+    whole = 1.0 + damping * velocity - force * x * controller
+    return ClosedLoop(controller, force, damping * velocity, x, early, whole)
 
 
 def tip_response(contact: Contact, theta: Any, late: Any = None) -> tuple[Response, Response]:
-    r"""Tip position [s²] and velocity [s] per acceleration asked of the robot, at z = e^{jθ}.
+    r"""Tip position [s²] and its difference over T_s [s] per acceleration asked of the robot, at z = e^{jθ}.
 
     Args:
         contact: The world.
@@ -83,19 +83,16 @@ def tip_response(contact: Contact, theta: Any, late: Any = None) -> tuple[Respon
         first, second = _held(contact, 1.0 - (late - whole))
         gamma_1, gamma_2 = second + q * (gamma_1 - second), first + q * (gamma_2 - first)
     delay = turned(-theta * (1.0 + contact.extra_delay + whole))
-    x, xdot = _moved(contact, q, delay * gamma_1, delay * gamma_2)
+    moved = _moved(contact, q, delay * gamma_1, delay * gamma_2)
     if contact.spring is not None:
         # Its force acts at once.
-        at_once = _moved(contact, q, *contact.gamma)
-        x = x / (1.0 + contact.spring * at_once[0])
-        xdot = xdot - contact.spring * x * at_once[1]
-    return x, xdot
+        moved = moved / (1.0 + contact.spring * _moved(contact, q, *contact.gamma) / (1.0 - q))
+    return moved / (1.0 - q), moved / contact.T_s
 
 
-def _moved(contact: Contact, q: Response, gamma_1: Any, gamma_2: Any) -> tuple[Response, Response]:
-    """Position and velocity per acceleration that adds so much to both in one sample."""
-    xdot = gamma_2 * q / (1.0 - contact.phi[1] * q)
-    return q * (contact.phi[0] * xdot + gamma_1) / (1.0 - q), xdot
+def _moved(contact: Contact, q: Response, gamma_1: Any, gamma_2: Any) -> Response:
+    """How far the tip moves in a sample per acceleration that adds so much to position and velocity in one."""
+    return q * (contact.phi[0] * gamma_2 * q / (1.0 - contact.phi[1] * q) + gamma_1)
 
 
 def _held(contact: Contact, part: Any) -> tuple[Any, Any]:
@@ -147,8 +144,8 @@ def loop_around(
     from_force = -answer(controller, q, held) * from_force
 
     def loops(delay: Any) -> tuple[Response, Response]:
-        x, xdot = tip_response(contact, theta, delay)
-        return from_force * x, from_velocity * xdot
+        x, velocity = tip_response(contact, theta, delay)
+        return from_force * x, from_velocity * velocity
 
     force_now, damping_now = loops(None)
     force, damping = (force_now, damping_now) if late is None else loops(late)

@@ -4,8 +4,9 @@ Exact between samples, because the command is held and the heart moves the force
 
     xₖ₊₁ = xₖ + φ₁₂ ẋₖ + γ₁ aₖ₋d,   ẋₖ₊₁ = φ₂₂ ẋₖ + γ₂ aₖ₋d,   yₖ = K_s (xₖ − x_heart,ₖ)
 
-with aₖ = vₖ for the paper's ideal damping (6), which then sits in φ and γ, or aₖ = vₖ − K₂ ẋ_f,ₖ for
-damping through the sampled, filtered velocity, delayed like every command. A disturbance acceleration wₖ, held
+with aₖ = vₖ for the paper's ideal damping (6), which then sits in φ and γ, or aₖ = vₖ − K₂ ẋ_f,ₖ for damping through
+the measured velocity, delayed like every command: a low-pass behind (xₖ − xₖ₋₁)/T_s, the difference of positions that
+encoders give (`jaxmpc.law.measurement`), half a sample older than ẋₖ. A disturbance acceleration wₖ, held
 like a command but not delayed, adds to aₖ₋d. A spring adds −ω² xₖ in the same way (`jaxmpc.stability.presliding`).
 """
 
@@ -45,6 +46,8 @@ class ContactState(NamedTuple):
     """Tip position [m]."""
     xdot: Scalar
     """Tip velocity [m/s]."""
+    moved: Scalar
+    """How far the tip has moved since the last sample [m]."""
     velocity: Scalar
     """Filtered velocity measurement [m/s]."""
     force: Scalar
@@ -56,7 +59,7 @@ class ContactState(NamedTuple):
 def init(x: Scalar = 0.0) -> ContactState:
     """A tip at rest at x [m], touching without force."""
     zero = 0.0 * x
-    return ContactState(x, zero, zero, zero, (zero, zero))
+    return ContactState(x, zero, zero, zero, zero, (zero, zero))
 
 
 def hertz(frequency: float) -> float:
@@ -79,7 +82,8 @@ def sense(contact: Contact, state: ContactState, heart: Scalar) -> tuple[Scalar,
     """
     true = true_force(contact, state, heart)
     force = true + contact.sensor_pole * (state.force - true)
-    velocity = state.xdot + contact.velocity_pole * (state.velocity - state.xdot)
+    measured = state.moved / contact.T_s
+    velocity = measured + contact.velocity_pole * (state.velocity - measured)
     return force, state._replace(force=force, velocity=velocity)
 
 
@@ -104,6 +108,6 @@ def move(
         applied = applied + disturbance
     if contact.spring is not None:
         applied = applied - contact.spring * state.x
-    x = state.x + contact.phi[0] * state.xdot + contact.gamma[0] * applied
+    moved = contact.phi[0] * state.xdot + contact.gamma[0] * applied
     xdot = contact.phi[1] * state.xdot + contact.gamma[1] * applied
-    return state._replace(x=x, xdot=xdot, pending=(a, newest)), a
+    return state._replace(x=state.x + moved, xdot=xdot, moved=moved, pending=(a, newest)), a

@@ -67,10 +67,10 @@ def loop_matrices(
 
     def step(state: np.ndarray, heart: float, noise: float, ref: float) -> tuple[np.ndarray, float]:
         x_hat, p, (u, v_last), state = np.split(state, np.cumsum([known, order, 2]))
-        tip, force_f, velocity_f = state[:2], state[2], state[3]
-        queue_v, queue_w = state[4 : 4 + HISTORY], state[4 + HISTORY :]
+        tip, x_before, force_f, velocity_f = state[:2], state[2], state[3], state[4]
+        queue_v, queue_w = state[5 : 5 + HISTORY], state[5 + HISTORY :]
         force_f = alpha * force_f + (1.0 - alpha) * K_s * (tip[0] - heart)
-        velocity_f = beta * velocity_f + (1.0 - beta) * tip[1]
+        velocity_f = beta * velocity_f + (1.0 - beta) * (tip[0] - x_before) / T_S
         y = force_f + noise
         prior = Phi_r @ x_hat + (v_last + p[0]) * np.eye(known)[-1]
         innovation = y - prior[0]
@@ -81,10 +81,10 @@ def loop_matrices(
         damping = 0.0 if ideal else -K2 * velocity_f
         queue_v, push_v = push(queue_v, gain_v * gain_a * v, late_v + late_a)
         queue_w, push_w = push(queue_w, gain_a * damping, late_a)
-        tip = Phi_plant @ tip + push_v + push_w
-        return np.concatenate([x_hat, p, [u, v], tip, [force_f, velocity_f], queue_v, queue_w]), y
+        x_before, tip = tip[0], Phi_plant @ tip + push_v + push_w
+        return np.concatenate([x_hat, p, [u, v], tip, [x_before, force_f, velocity_f], queue_v, queue_w]), y
 
-    size = 6 + known + order + 2 * HISTORY
+    size = 7 + known + order + 2 * HISTORY
     zero = np.zeros(size)
     columns = [step(row, 0.0, 0.0, 0.0) for row in np.eye(size)]
     inputs = [step(zero, *row) for row in np.eye(3)]

@@ -45,8 +45,8 @@ def world_of(given: Experiment) -> tuple[RobotStructure, Robot]:
         # What is left is K_s over the mass, 8e-3 1/s² late by a sample or two: 1e-8.
         (Params(), 1, 0.0, 1e-6),
         (Params.published("cautious"), 2, 0.0, 1e-6),
-        # Encoders give a difference of angles, half a sample older than the velocity that the axis measures: 8e-3.
-        (Params(), 1, 10.0, 1e-2),
+        (Params(), 1, 10.0, 1e-6),
+        (Params.published("cautious"), 1, 100.0, 1e-6),
     ],
 )
 def test_a_heavy_perfect_arm_is_the_axis_three_times(params: Params, delay: int, K2: float, tolerance: float) -> None:

@@ -63,22 +63,24 @@ def test_its_frequency_response_is_that_of_a_pi_controller(gains: Gains) -> None
 
 @pytest.mark.parametrize("K_p", [0.8, 8.0])
 def test_its_loop_is_as_stable_as_one_written_by_hand(K_p: float) -> None:
-    """x, ẋ, the last command, û and the filtered velocity as a matrix by hand: a stable loop and an unstable one."""
+    """x, ẋ, the last command, û, the filtered velocity and the last x by hand: a stable loop and an unstable one."""
     controller = CONTROLLER._replace(K_p=K_p)
     K_s, cutoff = 1900.0, 180.0
     contact = contact_of(K_s, controller.K2, loop_path(T_s, velocity_cutoff=cutoff, lowpass_hz=0.0))
     found = spectral_radius(closed_loop_matrix(pi.gains(controller, T_s), contact))
     pole, share = np.exp(-cutoff * T_s), T_s / controller.T_i
-    y = np.array([K_s, 0.0, 0.0, 0.0, 0.0])
-    velocity = np.array([0.0, 1.0 - pole, 0.0, 0.0, pole])
-    u = np.array([0.0, 0.0, 0.0, 1.0, 0.0]) - share * y
+    x, _, _, integral, filtered, before = np.eye(6)
+    y = K_s * x
+    velocity = (1.0 - pole) * (x - before) / T_s + pole * filtered
+    u = integral - share * y
     loop = np.stack(
         [
-            np.array([1.0, T_s, 0.5 * T_s**2, 0.0, 0.0]),
-            np.array([0.0, 1.0, T_s, 0.0, 0.0]),
+            np.array([1.0, T_s, 0.5 * T_s**2, 0.0, 0.0, 0.0]),
+            np.array([0.0, 1.0, T_s, 0.0, 0.0, 0.0]),
             K_p * (u - y) - controller.K2 * velocity,
             u,
             velocity,
+            x,
         ]
     )
     expected = np.abs(np.linalg.eigvals(loop)).max()
