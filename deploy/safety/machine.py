@@ -30,9 +30,9 @@ BRAKES = frozenset(
         *(Reason.POSITION_OLD, Reason.LATE),
     }
 )
-"""Faults after which the arm brakes and withdraws while its positions are fresh, or once they are again: one that only
-bears its weight coasts on into the tissue, with 29 N where braking leaves 9 N (a force 20 ms old, on a stiffening
-tissue), and waits there for the heart: 10 N, and 28 N when it is let go at last."""
+"""Faults after which an arm that was on its way to the tissue brakes and withdraws while its positions are fresh, or
+once they are again: one that only bears its weight coasts on into the tissue, with 29 N where braking leaves 9 N (a
+force 20 ms old, on a stiffening tissue), and waits there for the heart: 10 N, and 28 N when it is let go at last."""
 
 
 class OperatingState(StrEnum):
@@ -101,6 +101,8 @@ class SafetyState(NamedTuple):
     """Cycles in a row, up to now, with a force above the contact threshold."""
     let_go: bool = False
     """Whether the arm has been let go, once and for all."""
+    near: bool = False
+    """Whether it had been on its way to the tissue before this state: else there is nothing to withdraw from."""
 
     @property
     def over(self) -> bool:
@@ -109,6 +111,7 @@ class SafetyState(NamedTuple):
 
 
 _FINAL = (OperatingState.STOPPED, OperatingState.FAULT)
+_NEAR = (OperatingState.APPROACH, OperatingState.CONTACT, OperatingState.RETRACT)
 
 _TASKS = {
     OperatingState.IDLE: Task.OFF,
@@ -143,7 +146,7 @@ def step(now: SafetyState, observed: Observations) -> SafetyState:
         detail = observed.detail if again else now.detail  # who else is silent shows only after some cycles
         return now._replace(detail=detail, cycles=now.cycles + 1, contact_cycles=contact_cycles, let_go=let_go)
     detail = now.detail if reason is now.reason else observed.detail
-    return SafetyState(state, reason, detail, let_go=let_go)
+    return SafetyState(state, reason, detail, let_go=let_go, near=now.near or now.state in _NEAR)
 
 
 def task_of(now: SafetyState, position_age: int) -> Task:
@@ -151,7 +154,7 @@ def task_of(now: SafetyState, position_age: int) -> Task:
     if now.let_go or position_age > HELD:
         return Task.OFF
     task = _TASKS[now.state]
-    if now.reason in BRAKES:
+    if now.state is OperatingState.FAULT and now.near and now.reason in BRAKES:
         task = Task.RETRACT
     return Task.GRAVITY if position_age > BRIDGED and task is not Task.OFF else task
 

@@ -1,15 +1,18 @@
 """The kind "wam" as a file: what is in it comes back, and whatever is missing or wrong has a sentence of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from deploy.controller import arm_model
+from deploy.controller import arm_model, golden
 from deploy.controller.arm_model import MEANING, ROBOT, ArmModel
 from deploy.controller.file import ArtifactError, from_bytes, load, to_bytes
 from deploy.controller.freeze import freeze
 from deploy.controller.limits import ROWS, Limits
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import seal, unseal
+from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.gain_backoff import GainBackoff
 from tests.deploy import made
 
@@ -135,11 +138,14 @@ def test_a_model_without_a_table_is_refused(opened):
         ("arm.chain.links", [], r"arm.chain.links = \[\]: must be four links"),
         ("arm.chain.armature", [0.2, 0.2, 0.1, -0.1], "arm.chain.armature = .* must be not negative"),
         ("arm.chain.gravity", [0, 0, 0], "arm.chain.gravity = .* must be of 9.7 to 9.9"),
+        ("arm.chain.gravity", [0, 0, -9.91], "arm.chain.gravity = .* must be of 9.7 to 9.9"),
+        ("arm.chain.gravity", [0, 0, -9.69], "arm.chain.gravity = .* must be of 9.7 to 9.9"),
         ("arm.chain.tip", [0.0, "1e999", 0.0], "arm.chain.tip = an array of"),
         ("arm.nominal.mass_scale", 0.0, r"arm.nominal.mass_scale = 0.0: must be in \[0.1, 2\]"),
         ("arm.nominal.tool_error", 10**400, "arm.nominal.tool_error = 1000.*must be a number"),
         ("arm.nominal.friction", [], r"arm.nominal.friction = \[\]: must be a table of coulomb, viscous, presliding"),
         ("arm.nominal.friction.coulomb", [-1.0, 0, 0, 0], "arm.nominal.friction = .* must be not negative"),
+        ("arm.nominal.friction.viscous", [0, 0, 0, -1.0], "arm.nominal.friction = .* must be not negative"),
         ("arm.nominal.friction.presliding", 0.0, r"friction.presliding = 0.0: must be in \[1e-05, 0.1\]"),
         ("arm.posture", [0.0, 0.7, 0.0], r"arm.posture = an array of shape \(3,\)"),
         ("arm.posture", [3.0, 0.7, 0.0, 2.2], r"arm.posture of J1 = 3: must be in \[-2.6, 2.6\] rad"),
@@ -285,6 +291,72 @@ def test_what_cannot_be_made_cannot_be_frozen(tmp_path):
     with pytest.raises(InputError, match="golden_q = missing: must be given"):
         freeze(tmp_path / "c.npz", **arguments, golden=golden, arm=good)
     assert not list(tmp_path.iterdir())
+
+
+def without(ranges, i, place, above):
+    """The same ranges, the one of them shut at one side of a place that it held."""
+    low, high = ranges[i]
+    shut = (place + 0.01, high) if above else (low, place - 0.01)
+    return tuple(shut if k == i else each for k, each in enumerate(ranges))
+
+
+@pytest.mark.parametrize("above", [False, True])
+def test_limits_hold_the_posture_of_every_joint_and_its_tip(above):
+    model = made.arm_artifact(6).arm
+    limits, tip = model.limits, arm_model.published_tip(model.posture, model.tool_length).tolist()
+    for i, angle in enumerate(model.posture):
+        narrow = without(limits.joint_range, i, angle, above)
+        with pytest.raises(InputError, match=f"^arm.posture of J{i + 1} = "):
+            replace(model, limits=replace(limits, joint_range=narrow))
+    for i, name in enumerate("xyz"):
+        narrow = without(limits.workspace, i, tip[i], above)
+        with pytest.raises(InputError, match=f"^tip at arm.posture, {name} = "):
+            replace(model, limits=replace(limits, workspace=narrow))
+
+
+@pytest.mark.parametrize("joint", range(4))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_limits_bear_the_torques_of_the_trace_either_way(joint, sign):
+    model = made.arm_artifact(6).arm
+    torque = model.golden_torque.copy()
+    torque[3, joint] = sign * (model.limits.joint_torque[joint] + 0.1)
+    with pytest.raises(InputError, match=f"^golden_torque of J{joint + 1} = "):
+        replace(model, golden_torque=torque)
+
+
+@pytest.mark.parametrize("wrong", [{"M_s": 2.01}, {"spectral_radius": 1.0}])
+def test_a_family_keeps_its_floor_where_the_tissue_is_known_too(wrong):
+    family = made.arm_artifact(6, gains=made.scheduled_gains())
+    rows = [made.margin_row(375.0), made.margin_row(810.0, **wrong)]
+    with pytest.raises(InputError, match=f"^{min(wrong)} with the tissue known to have about 810 N/m"):
+        replace(family, family={"band": 0.08, "rows": rows})
+
+
+def test_an_arm_whose_third_joint_turns_the_other_way_is_another_though_its_tip_at_the_posture_is_the_same():
+    model = made.arm_artifact(6).arm
+    first, second, third, fourth = model.chain.links
+    over = np.diag((1.0, -1.0, -1.0))
+    third = third._replace(rotation=made.tuples(np.array(third.rotation) @ over))
+    turned = fourth._replace(
+        position=tuple((over @ fourth.position).tolist()), rotation=made.tuples(over @ np.array(fourth.rotation))
+    )
+    with pytest.raises(InputError, match=r"another arm: its tip is .* mm off"):
+        replace(model, chain=model.chain._replace(links=(first, second, third, turned)))
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_filter_of_the_force_runs_at_the_rate_of_the_law(share):
+    artifact = made.arm_artifact(6)
+    own = ForceFilter(share * made.T_S, 0.3, 40.0)
+    with pytest.raises(InputError, match=r"^force_filter\.T_s = "):
+        replace(artifact, gains=artifact.gains._replace(force_filter=own))
+
+
+@pytest.mark.parametrize(("found", "name"), [((np.nan, 0.0), "trace"), ((0.0, np.nan), "torques")])
+def test_a_replay_that_is_no_number_reproduces_nothing(monkeypatch, found, name):
+    monkeypatch.setattr(golden, "replay", lambda artifact: found)
+    with pytest.raises(InputError, match=f"^deviation from the golden {name} = nan"):
+        golden.check_golden(made.arm_artifact(6))
 
 
 def test_limits_are_limits():

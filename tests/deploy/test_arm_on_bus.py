@@ -8,7 +8,7 @@ import pytest
 
 from deploy.bus.bus import MOST_AT_ONCE
 from deploy.puck import codec, messages
-from deploy.puck.codec import GROUPS, decode
+from deploy.puck.codec import BROADCAST, GROUPS, decode
 from deploy.puck.frame import Frame
 from deploy.puck.messages import PropertyReply, Torques
 from tests.deploy.pendants import encode_pendant
@@ -91,6 +91,16 @@ def test_states_are_polled_in_turn_at_50_hz_each(rig):
     assert sum(asked.values()) == 100
     assert all(12 <= times <= 13 for times in asked.values())
     assert rig.wire.sent.count(Frame(0x404, b"\x30")) == rig.wire.sent.count(Frame(0x008, b"\x36")) == 1000
+
+
+def test_once_the_safety_module_speaks_to_all_it_is_asked_for_its_mode_at_once(rig):
+    rig.cycle(Frame(BROADCAST, b"\x01\x02"), *whole())
+    asked = []
+    for _ in range(3):
+        rig.wire.sent.clear()
+        rig.cycle(*whole())
+        asked.append(rig.wire.sent.count(codec.get(codec.SAFETY_MODULE, 8)))
+    assert asked == [1, 0, 0]
 
 
 def test_states_surface(rig):

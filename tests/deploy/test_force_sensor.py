@@ -180,6 +180,6 @@ def test_mean_force_for_a_bias():
     forces = [tuple(draw.gauss(m, 0.1) for m in (1.0, -2.0, 3.0)) for _ in range(100)]
     mean = mean_force(Wrench(force, (0.0, 0.0, 0.0), TARE_AGAIN) for force in forces)
     np.testing.assert_allclose(mean, np.mean(forces, axis=0), rtol=0, atol=1e-14)
-    for bad in ([], [Wrench((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), BAD_DATA)]):
+    for bad in ([], *([Wrench((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), flag)] for flag in (BAD_DATA, 0x01, 0x20))):
         with pytest.raises(CalibrationError, match="no sound reading"):
             mean_force(bad)

@@ -230,13 +230,41 @@ def test_a_fault_that_holds_may_still_become_one_that_lets_go():
 
 
 @pytest.mark.parametrize(
-    "seen", [{"danger": Reason.TIP_VELOCITY}, {"danger": Reason.LATE}, {"position_age": BRIDGED + 1}]
+    "seen",
+    [
+        {"danger": Reason.JOINT_VELOCITY},
+        {"danger": Reason.TIP_VELOCITY},
+        {"danger": Reason.ELBOW_VELOCITY},
+        {"danger": Reason.WORKSPACE},
+        {"danger": Reason.LATE},
+        {"position_age": BRIDGED + 1},
+    ],
 )
 def test_who_was_too_fast_late_or_blind_brakes_and_withdraws_while_positions_are_fresh(seen):
     now = step(SafetyState(OperatingState.CONTACT), READY._replace(**seen))
     assert now.state is OperatingState.FAULT
     assert [task_of(now, age) for age in (0, 2, 3, 20, 21)] == [Task.RETRACT] * 2 + [Task.GRAVITY] * 2 + [Task.OFF]
     assert task_of(step(now, READY._replace(hazard=Reason.E_STOP)), 0) is Task.OFF
+
+
+@pytest.mark.parametrize("seen", [{"danger": Reason.LATE}, {"position_age": BRIDGED + 1}, {"danger": Reason.WORKSPACE}])
+def test_an_arm_that_never_approached_has_nothing_to_withdraw_from(seen):
+    now = step(SafetyState(OperatingState.ARMED), READY._replace(**seen))
+    assert (now.state, task_of(now, 0)) == (OperatingState.FAULT, Task.GRAVITY)
+    now = walk(READY, READY, start=step(SafetyState(OperatingState.ARMED), READY._replace(doubt=Reason.LATE)))
+    assert (now.state, now.reason, task_of(now, 0)) == (OperatingState.STOPPED, Reason.LATE, Task.HOLD)
+
+
+def test_every_other_reason_lets_the_arm_go():
+    hold = {
+        *(Reason.NONE, Reason.POSITION_OLD, Reason.POSTURE, Reason.JOINT_RANGE, Reason.JOINT_VELOCITY),
+        *(Reason.TIP_VELOCITY, Reason.ELBOW_VELOCITY, Reason.WORKSPACE, Reason.SINGULARITY),
+        *(Reason.ENCODER_JUMP, Reason.ENCODER_STUCK, Reason.ENCODER_RANGE),
+        *(Reason.FORCE, Reason.FORCE_LOST, Reason.FORCE_NOT_FINITE, Reason.FORCE_RANGE, Reason.FORCE_JUMP),
+        *(Reason.FORCE_STUCK, Reason.FORCE_SLOW, Reason.FORCE_MODEL, Reason.LATE),
+        *(Reason.NOT_STARTED, Reason.NO_CONTACT, Reason.OVERSHOOT, Reason.OPERATOR, Reason.FINISHED),
+    }
+    assert {reason for reason in Reason if not reason.lets_go} == hold
 
 
 def test_every_reason_has_its_sentence():

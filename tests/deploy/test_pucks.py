@@ -80,6 +80,8 @@ def test_the_order_is_that_of_pidx_not_of_nodes():
         ({"counts_per_turn": 0}, "CTS 0"),
         ({"counts_per_turn": -4096}, "CTS -4096"),
         ({"units_per_torque": 0}, "IPNM 0"),
+        ({"units_per_torque": 1999}, "IPNM 1999"),
+        ({"units_per_torque": 3501}, "IPNM 3501"),
         ({"units_per_torque": 27000}, "IPNM 27000"),
         ({"largest_torque": 0}, "MT 0"),
         ({"largest_torque": 9000}, "MT 9000"),
@@ -90,8 +92,15 @@ def test_what_no_working_puck_says_is_refused(changes, says):
         info(3, **changes)
 
 
+@pytest.mark.parametrize("units", [2000, 3500])
+def test_a_motor_at_the_bound_is_taken(units):
+    assert info(3, units_per_torque=units).units_per_torque == units
+
+
 def test_pucks_that_do_not_go_together_are_refused():
     with pytest.raises(CalibrationError, match=r"places .* puck 2: 1.*PIDX"):
         Pucks((info(1), info(2, pidx=1), info(3), info(4)))
     with pytest.raises(CalibrationError, match=r"firmware differs in P .*puck 4: 50"):
         Pucks((info(1), info(2), info(3), info(4, version=50)))
+    with pytest.raises(CalibrationError, match=r"firmware differs in T .*puck 4: 50"):
+        Pucks((info(1, version=40), info(2, version=40), info(3, version=40), info(4, version=50)))

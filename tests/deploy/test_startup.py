@@ -1,15 +1,18 @@
 """How an arm is started: what is asked and set, and that nothing moves."""
 
 from itertools import pairwise
+from math import pi
 
 import pytest
 
 from deploy.bus.bus import Bus
+from deploy.controller.limits import MECHANICAL_STOPS
 from deploy.errors import CalibrationError
 from deploy.force.sensor import Mounted, Wrench
 from deploy.puck.codec import decode
 from deploy.puck.frame import Frame
 from deploy.puck.messages import Get
+from deploy.wam.homing import within_stops
 from deploy.wam.startup import startup
 from tests.deploy.fake_arm import HOME_COUNTS, MS, FakeArm, start
 
@@ -57,8 +60,9 @@ def test_who_is_awake_is_left_alone():
     assert fake.ns < 1000 * MS
 
 
-def test_without_being_told_home_is_not_set():
-    fake = FakeArm(zero=0)
+@pytest.mark.parametrize("zero", [0, 2, -1])
+def test_without_being_told_home_is_not_set(zero):
+    fake = FakeArm(zero=zero)
     with pytest.raises(CalibrationError, match=r"does not know where it is .*--home"):
         start(fake)
     assert fake.told("P", "ZERO") == []
@@ -102,6 +106,33 @@ def test_zero_calibration_moves_home_to_where_the_encoders_are():
     fake.values[2]["ROLE"] = 0
     with pytest.raises(CalibrationError, match="puck 2 has no absolute encoder"):
         start(fake, home=True, zero_angles=(0.0, 0.0, 0.0, 0.0))
+
+
+def test_zero_calibration_is_where_the_encoders_stand_at_zero():
+    fake = FakeArm(zero=0)
+    zero = (0.3, -0.2, 0.1, 0.4)
+    for node, angle in zip((1, 2, 3, 4), zero, strict=True):
+        fake.values[node]["MECH"] = round(HOME_COUNTS[node - 1] + 4096 * angle / (2.0 * pi)) % 4096
+    arm, _ = start(fake, home=True, zero_angles=zero)
+    assert all(abs(counts - home) <= 1 for counts, home in zip(arm.counts, HOME_COUNTS, strict=True))
+
+
+def test_zero_calibration_needs_firmware_118():
+    start(FakeArm(zero=0, version=118), home=True, zero_angles=(0.0,) * 4)
+    with pytest.raises(CalibrationError, match="firmware before 118"):
+        start(FakeArm(zero=0, version=117), home=True, zero_angles=(0.0,) * 4)
+
+
+@pytest.mark.parametrize("joint", range(4))
+@pytest.mark.parametrize("end", [0, 1])
+def test_half_a_motor_turn_beyond_a_stop_is_what_homing_may_be_wrong_by(joint, end):
+    def angles(beyond):
+        at = MECHANICAL_STOPS[joint][end] + (beyond if end else -beyond)
+        return tuple(at if i == joint else 0.0 for i in range(4))
+
+    within_stops(angles(0.189))
+    with pytest.raises(CalibrationError, match=f"joint {joint + 1} says"):
+        within_stops(angles(0.191))
 
 
 def test_a_lost_answer_is_asked_for_again():

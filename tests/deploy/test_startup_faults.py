@@ -5,6 +5,7 @@ import pytest
 
 from deploy.errors import BusError, CalibrationError
 from deploy.puck.frame import Frame
+from deploy.wam.dialogue import Dialogue
 from tests.deploy.fake_arm import KINDS, PENDANT, FakeArm, start
 from tests.deploy.pendants import encode_pendant
 
@@ -24,10 +25,13 @@ def pendant(**changes):
     return values(10, PEN=encode_pendant(PENDANT._replace(**changes)))
 
 
-def seven(fake):
-    fake.versions[5] = 150
-    KINDS[5] = "motor"
-    fake.values[5] = {"STAT": 2, "VERS": 150}
+def seven(node):
+    def change(fake):
+        fake.versions[node] = 150
+        KINDS[node] = "motor"
+        fake.values[node] = {"STAT": 2, "VERS": 150}
+
+    return change
 
 
 def other_host(fake):
@@ -63,6 +67,7 @@ def will_not_move(fake):
         (pendant(velocity="FAULT"), BusError, "FAULT of velocity:"),
         (pendant(torque="FAULT", heartbeat="FAULT"), BusError, "FAULT of torque and heartbeat:"),
         (values(10, VL2=0), CalibrationError, "VL2 = 0"),
+        (values(10, TL2=0), CalibrationError, "TL2 = 0"),
         (values(2, STAT=1), BusError, r"puck 2 reports an error \(STAT 1\)"),
         (will_not_wake, BusError, r"puck 2 does not wake \(STAT 0\)"),
         (values(4, ROLE=5), CalibrationError, "puck 4 is no motor puck but says hand"),
@@ -72,7 +77,8 @@ def will_not_move(fake):
         (values(2, PIDX=1), CalibrationError, "places in a torque are not 1 to 4"),
         (values(2, GRPB=2), CalibrationError, "torques of group 2, not 1"),
         (values(2, P=2**20), CalibrationError, r"joint 2 says .*beyond its stops"),
-        (seven, BusError, "7 joints"),
+        (seven(5), BusError, "puck 5 answers too: this is a WAM with 7 joints"),
+        (seven(7), BusError, "puck 7 answers too: this is a WAM with 7 joints"),
         (other_host, BusError, "somebody else commands on this bus"),
         (will_not_zero, CalibrationError, "home position was not taken"),
         (will_not_move, CalibrationError, "home position was not taken"),
@@ -83,10 +89,25 @@ def test_every_failure_says_what_to_check(fault, error, says):
     fault(fake)
     with pytest.raises(error, match=says) as raised:
         start(fake, home=True)
-    KINDS.pop(5, None)
+    for node in (5, 7):
+        KINDS.pop(node, None)
     assert "\n" not in str(raised.value)
     assert fake.told("T") == []
     assert all(value == 0 for _, _, value in fake.told("MODE"))
+
+
+def test_who_begins_to_command_while_the_arm_is_started_is_told():
+    fake = FakeArm()
+    answer = fake.answer
+
+    def answer_and_command(node, name, number):
+        answer(node, name, number)
+        if name == "PIDX":
+            other_host(fake)
+
+    fake.answer = answer_and_command
+    with pytest.raises(BusError, match="somebody else commands on this bus"):
+        start(fake)
 
 
 def test_a_bus_that_takes_nothing_is_said_so():
@@ -111,3 +132,25 @@ def test_a_puck_deaf_to_the_group_is_named():
     fake.answer = answer_but_no_position
     with pytest.raises(BusError, match="puck 2 does not tell its position"):
         start(fake)
+
+
+def test_a_puck_that_falls_silent_is_not_taken_to_stand_where_it_stood():
+    fake = FakeArm().awake()
+    arm, _ = start(fake)
+    talk, question = Dialogue(arm.bus, fake), Frame(0x404, b"\x30")
+    assert talk.told_positions(question, (1, 2, 3, 4)) == arm.counts
+    fake.silent.add(3)
+    assert talk.ask_positions(question, (1, 2, 3, 4)) is None
+    with pytest.raises(BusError, match="puck 3 does not tell its position"):
+        talk.told_positions(question, (1, 2, 3, 4))
+
+
+@pytest.mark.parametrize("by", [1025, -1025])
+def test_an_arm_that_was_moved_either_way_is_told(by):
+    fake = FakeArm().awake()
+    arm, _ = start(fake)
+    talk = Dialogue(arm.bus, fake)
+    fake.values[2]["P"] += 1024 if by > 0 else -1024
+    assert arm.moved(talk) is None
+    fake.values[2]["P"] = arm.counts[1] + by
+    assert arm.moved(talk) == 1

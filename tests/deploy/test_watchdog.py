@@ -1,5 +1,6 @@
 """The watchdog process against a bus that another process could reach: a few lines of socketcand."""
 
+import logging
 import os
 import signal
 import socket
@@ -13,9 +14,13 @@ import can
 import pytest
 from can.cli import add_bus_arguments
 
+from deploy.loop import watchdog_process
 from deploy.loop.beats import BeatPage
 from deploy.loop.watchdog import Watchdog, WatchdogError, bus_flags
 from deploy.loop.watchdog_process import IDLE_FRAMES, SOCKET, overdue
+from deploy.puck.codec import GROUPS, SAFETY_MODULE, decode
+from deploy.puck.frame import Frame
+from deploy.puck.messages import Set
 
 MS = 1_000_000
 SLACK = 0.25
@@ -209,6 +214,7 @@ def test_a_stopped_controller_finds_out_before_its_first_cycle(server, controlle
 
 WRITER = """
 import sys, time
+from deploy.loop import watchdog_process
 from deploy.loop.beats import BeatPage
 page, end = BeatPage(int(sys.argv[1])), time.monotonic() + 1.0
 while time.monotonic() < end:
@@ -267,3 +273,53 @@ def test_a_beat_costs_the_loop_little(server):
             took.append(time.perf_counter_ns() - start)
     # 1 µs; ten times that on a loaded machine, and still nothing of a cycle
     assert sorted(took)[1000] < 10_000
+
+
+def test_the_timeout_of_the_command_line_is_in_milliseconds(monkeypatch):
+    watched = []
+    monkeypatch.setattr(watchdog_process, "watch", lambda page, pipe, timeout_ns, *bus: watched.append(timeout_ns))
+    monkeypatch.setattr(watchdog_process, "prepare", lambda priority: None)
+    page, ours, theirs = BeatPage.create(), *os.pipe()
+    ignored = signal.getsignal(signal.SIGINT)
+    try:
+        flags = ["--page", f"{page}", "--pipe", f"{ours}", "--timeout-ms", "7.5"]
+        assert watchdog_process.main([*flags, "--interface", "virtual", "--channel", "of-a-watchdog"]) == 0
+    finally:
+        signal.signal(signal.SIGINT, ignored)
+        logging.disable(logging.NOTSET)
+        for descriptor in (page, ours, theirs):
+            os.close(descriptor)
+    assert watched == [7_500_000]
+
+
+def test_what_it_sends_lowers_the_state_of_pucks_and_safety_module():
+    orders = [decode(Frame(number, data)) for number, data in IDLE_FRAMES]
+    assert orders == [Set(GROUPS["wam"], 8, 0), Set(SAFETY_MODULE, 8, 1)]
+
+
+def test_it_says_that_it_acts_before_it_sends_and_a_bus_that_refuses_is_tried_to_the_end(monkeypatch):
+    page, ours, theirs = BeatPage.create(), *os.pipe()
+    held, fired = BeatPage(page), []
+
+    def refuse(message):
+        fired.append(held.fired)
+        raise OSError("full")
+
+    monkeypatch.setattr(watchdog_process, "_say", lambda text: None)
+    held.beat = 1
+    os.close(theirs)
+    watchdog_process.watch(held, ours, 5 * MS, Namespace(send=refuse, recv=lambda timeout: None), dict)
+    for descriptor in (page, ours):
+        os.close(descriptor)
+    assert len(fired) == 12
+    assert all(fired)
+
+
+def test_who_has_not_looked_for_a_tenth_of_a_second_does_not_answer(server):
+    with Watchdog(server.flags, timeout_ms=500.0) as watchdog:
+        os.kill(watchdog._process.pid, signal.SIGSTOP)
+        time.sleep(0.05)
+        looked = watchdog._page.alive
+        assert watchdog.answers(looked + 100 * MS - 1)
+        assert not watchdog.answers(looked + 100 * MS)
+        os.kill(watchdog._process.pid, signal.SIGCONT)

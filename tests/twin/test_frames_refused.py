@@ -111,3 +111,16 @@ def test_a_program_that_fails_while_frames_are_refused_lets_go_all_the_same(plai
     with pytest.raises(RuntimeError, match="a defect"):
         fly(plain, driver, clock, happen)
     assert not any(puck.driving for puck in clock.twin.pucks)
+
+
+def test_the_order_to_idle_is_given_again_and_again_since_a_frame_can_be_lost(plain, clock):
+    driver = Refusing(clock)
+
+    def happen(session):
+        raise RuntimeError("a defect")
+
+    with pytest.raises(RuntimeError, match="a defect"):
+        fly(plain, driver, clock, happen)
+    orders = [at for at, number, data in driver.taken if number == 0x404 and data[0] & 0x80]
+    later = [at - orders[-1] for at in orders if at > orders[-1] - 45 * MS]
+    assert later == [-40 * MS, -30 * MS, -20 * MS, -10 * MS, 0]

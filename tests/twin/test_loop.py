@@ -84,18 +84,38 @@ def test_after_standing_still_nothing_is_computed_from_what_is_old(run):
 
 
 def test_stopped_between_measuring_and_sending_the_torque_is_not_sent(run, monkeypatch):
-    step, stopped = Cycle.step, []
+    step, stopped, measured_at = Cycle.step, [], []
 
     def stop_once_computed(cycle, *measured):
         result = step(cycle, *measured)
         if stopped and any(result.applied):
             clock = stopped.pop()
+            measured_at.append(clock.now())
             clock.wait_until(clock.now() + 100_000_000)
         return result
 
     monkeypatch.setattr(Cycle, "step", stop_once_computed)
     ended, _ = run(lambda clock, _: stopped.append(clock))
     assert not stopped
+    assert (ended.safety_state.state, ended.safety_state.reason) == (OperatingState.FAULT, Reason.STALLED)
+    (watchdog,) = run.watchdogs
+    assert watchdog.driven == []
+    # A beat says when it was measured, not when it was sent: else the watchdog would not see that it stopped.
+    assert min(abs(at - measured_at[0]) for at, _ in watchdog.beats) < 900_000
+
+
+def test_once_the_watchdog_has_acted_the_torque_of_that_very_cycle_is_not_sent(run, monkeypatch):
+    step, watched = Cycle.step, []
+
+    def act_once_computed(cycle, *measured):
+        result = step(cycle, *measured)
+        if watched and any(result.applied):
+            watched.pop().fired = True
+        return result
+
+    monkeypatch.setattr(Cycle, "step", act_once_computed)
+    ended, _ = run(lambda _, watchdog: watched.append(watchdog))
+    assert not watched
     assert (ended.safety_state.state, ended.safety_state.reason) == (OperatingState.FAULT, Reason.STALLED)
     (watchdog,) = run.watchdogs
     assert watchdog.driven == []

@@ -64,6 +64,33 @@ def test_activation_holds_the_arm_where_it_is(plain, lift):
     assert max(math.hypot(*each.tip_velocity) for each in held) < 0.1
 
 
+@pytest.mark.parametrize(("fault", "ends"), [("", Reason.LATE), ("J2:lost=3@1.2", Reason.POSITION_OLD)])
+@pytest.mark.parametrize("activated", [850, 1500])
+def test_an_armed_arm_that_stops_does_not_move_up(plain, fault, ends, activated):
+    """Three late cycles or lost positions, while it is driven or before; activated within the second that it holds."""
+    seen, cycles = [], 0
+    settings = TwinSettings(gap=GAP, motion=motion_named("none"), faults=(fault,) if fault else ())
+    twin = Twin(settings)
+    clock = LockstepClock(twin, lambda now: seen.append(now.truth()))
+    bus = Bus(LockstepBus(clock), clock.now)
+    options = Options(from_words("0,0,-5@2", rate=5.0, largest=10.0), turns=False, tare=False)
+    session = Session(plain, bus, clock, options, lambda sentence: None)
+
+    def each(result):
+        nonlocal cycles
+        cycles += 1
+        if cycles == activated:
+            twin.press("activate")
+        if not fault and cycles in (1200, 1220, 1240):
+            clock.wait_until(clock.now() + 2_000_000)
+        return OperatorCommand(True, False)
+
+    ended = session.run(OperatorCommand(True, False), None, each)
+    bus.close()
+    assert ended.safety_state.reason is ends
+    assert max(each.tip[2] for each in seen) - seen[0].tip[2] < 0.005
+
+
 @pytest.mark.parametrize(("angle", "ends"), [(0.25, Reason.FINISHED), (-0.35, Reason.POSTURE), (0.35, Reason.POSTURE)])
 def test_the_approach_begins_near_the_posture_of_the_controller_or_not_at_all(plain, angle, ends):
     twin, session, bus = _begun(plain)

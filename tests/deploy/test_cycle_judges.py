@@ -1,0 +1,193 @@
+"""What a cycle makes of its measurements, of time that was lost and of a refusal: no twin, one arm that stands."""
+
+import math
+
+import pytest
+
+from deploy.bus.bus import Bus
+from deploy.controller.runtimes import arm_runtime
+from deploy.force.can_sensor import CanSensor
+from deploy.force.sensor import Mounted
+from deploy.loop.control import Contacting, TaskController
+from deploy.loop.cycle import ASTRAY, Cycle, OperatorCommand
+from deploy.loop.hazards import CycleTiming
+from deploy.reference.sources import ConstantForce
+from deploy.safety.checker import Strictness
+from deploy.safety.machine import BRIDGED, OperatingState, SafetyState, Task
+from deploy.safety.reasons import Reason
+from deploy.wam.arm import WamArm
+from deploy.wam.pucks import PuckInfo, Pucks
+from deploy.wam.reading import Reading
+from deploy.wam.tip_pose import tip_kinematics
+from tests.deploy.made import POSTURE, T_S, TOOL
+from tests.deploy.wire import PENDANT, Wire
+
+GO, PUNCTUAL = OperatorCommand(True, True), CycleTiming()
+
+
+class Standing:
+    """A cycle on an arm that stands, in a state from which a test begins."""
+
+    def __init__(self, artifact, runtime, state, posture, turns):
+        wire, pucks = Wire(), Pucks(tuple(PuckInfo(n, n, 150, 0, 4096, 2700, 4860) for n in (1, 2, 3, 4)))
+        self.counts = pucks.counts(posture)
+        arm = WamArm(Bus(wire, wire.now), pucks, Mounted(CanSensor()), self.counts, 197)
+        controller = TaskController(runtime, ConstantForce((0.0, 0.0, -5.0)), T_S, Contacting())
+        model = artifact.arm
+        self.cycle = Cycle(arm, controller, model.limits, T_S, TOOL, tip_kinematics(model.chain), turns)
+        self.cycle.safety_state = SafetyState(state)
+
+    def __call__(self, force=(0.0, 0.0, 0.0), counts=None, age=(0, 0, 0, 0), timing=PUNCTUAL, command=GO):
+        counts = self.counts if counts is None else counts
+        reading = Reading(tuple(counts), age, force, 0, 0, 2, PENDANT, 3, (2,) * 4, (2,) * 4, ())
+        return self.cycle.step(reading, timing, command)
+
+    def moved(self, motor, by):
+        return [each + by * (i == motor) for i, each in enumerate(self.counts)]
+
+
+@pytest.fixture(scope="module")
+def runtime(arm_artifact):
+    """The law, recorded once: a cycle has it forget everything."""
+    return arm_runtime(arm_artifact)
+
+
+@pytest.fixture
+def standing(arm_artifact, runtime):
+    def stand(state=OperatingState.APPROACH, posture=POSTURE, turns=False):
+        return Standing(arm_artifact, runtime, state, posture, turns)
+
+    return stand
+
+
+def ends(result):
+    return result.safety_state.state, result.safety_state.reason
+
+
+@pytest.mark.parametrize("direction", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (1, -1, 1)])
+def test_a_force_beyond_its_limit_ends_the_approach_whatever_its_direction(standing, direction):
+    size = math.hypot(*direction)
+
+    def force(newtons):
+        return tuple(newtons * each / size for each in direction)
+
+    limit = standing().cycle.limits.force
+    assert ends(standing()(force(limit - 1e-9))) == (OperatingState.APPROACH, Reason.NONE)
+    assert ends(standing()(force(limit + 1e-9))) == (OperatingState.RETRACT, Reason.FORCE)
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_a_force_far_from_the_wanted_one_ends_contact(standing, turns):
+    """A wanted force begins at the measured one; that of a sensor that turns is turned before they are compared."""
+    made = standing(OperatingState.CONTACT, turns=turns)
+    raw = (0.0, 0.0, -1.0)
+    first = made(raw)
+    assert first.force == (first.kinematics.turned(raw) if turns else raw)
+    assert made.cycle.controller.force_ref == pytest.approx(first.force, abs=0.01)
+    away = (0.0, 0.6, -1.0), (0.0, 1.2, -1.0), (0.0, 1.8, -1.0)
+    assert [ends(made(force)) for force in away] == [(OperatingState.CONTACT, Reason.NONE)] * 3
+    assert ends(made((0.0, ASTRAY + 0.1, -1.0))) == (OperatingState.RETRACT, Reason.FORCE_MODEL)
+
+
+def test_what_was_found_to_lie_is_not_made_good_by_torque(standing):
+    made = standing(OperatingState.CONTACT)
+    asked, torque = [], made.cycle.controller.torque
+    made.cycle.controller.torque = lambda task, *rest: (asked.append((task, rest[4])), torque(task, *rest))[1]
+    for y in (0.0, 0.6, 1.2, 1.8, 2.1):
+        made((0.0, y, -1.0))
+    assert asked == [(Task.CONTROL, (0.0, y, -1.0)) for y in (0.0, 0.6, 1.2, 1.8)] + [(Task.RETRACT, None)]
+
+
+@pytest.mark.parametrize("motor", range(4))
+def test_an_encoder_that_leaps_is_a_danger_and_its_angle_is_not_used(standing, motor):
+    made = standing()
+    q = made().q
+    leapt = made(counts=made.moved(motor, 300))
+    assert ends(leapt) == (OperatingState.FAULT, Reason.ENCODER_JUMP)
+    assert leapt.q == q
+
+
+@pytest.mark.parametrize("joint", range(4))
+def test_an_angle_beyond_its_stop_is_a_danger(standing, joint):
+    beyond = (2.75, 2.15, 2.95, 3.3)
+    made = standing(posture=tuple(beyond[i] if i == joint else each for i, each in enumerate(POSTURE)))
+    result = made()
+    assert ends(result) == (OperatingState.FAULT, Reason.ENCODER_RANGE)
+    assert result.safety_state.detail.startswith("J")
+
+
+def test_over_missed_cycles_a_motor_may_have_moved_farther(standing):
+    made = standing(OperatingState.ARMED)
+    made(command=GO._replace(start=False))
+    result = made(counts=made.moved(0, 200), timing=CycleTiming(missed=BRIDGED), command=GO._replace(start=False))
+    assert ends(result) == (OperatingState.ARMED, Reason.NONE)
+    assert ends(made(counts=made.moved(0, 400)))[1] is Reason.ENCODER_JUMP
+
+
+@pytest.mark.parametrize(
+    ("timing", "age", "found"),
+    [
+        (CycleTiming(missed=BRIDGED), 0, (OperatingState.APPROACH, Reason.NONE)),
+        (CycleTiming(missed=BRIDGED + 1), 0, (OperatingState.FAULT, Reason.LATE)),
+        (CycleTiming(missed=1), 1, (OperatingState.APPROACH, Reason.NONE)),
+        (CycleTiming(missed=2), 1, (OperatingState.FAULT, Reason.LATE)),
+        (CycleTiming(), BRIDGED + 1, (OperatingState.FAULT, Reason.POSITION_OLD)),
+        (CycleTiming(late=True), 0, (OperatingState.RETRACT, Reason.LATE)),
+    ],
+)
+def test_cycles_that_were_missed_count_as_age(standing, timing, age, found):
+    made = standing()
+    made()
+    assert ends(made(timing=timing, age=(0, 0, 0, age))) == found
+
+
+@pytest.mark.parametrize("refusal", [reason for reason in Reason if reason is not Reason.NONE])
+def test_a_refusal_is_taken_by_the_machine_within_the_cycle(standing, refusal):
+    made = standing()
+    refusals, check = [refusal], made.cycle.checker.check
+    made.cycle.checker.check = lambda *asked: refusals.pop() if refusals else check(*asked)
+    result = made()
+    assert ends(result) == (OperatingState.FAULT, refusal)
+    assert (result.task is Task.OFF) == refusal.lets_go
+    assert any(result.applied) != refusal.lets_go
+
+
+@pytest.mark.parametrize(
+    ("state", "strictness"),
+    [
+        (OperatingState.IDLE, Strictness.OFF),
+        (OperatingState.ARMED, Strictness.SAFE),
+        (OperatingState.APPROACH, Strictness.CONTROL),
+        (OperatingState.CONTACT, Strictness.CONTROL),
+        (OperatingState.RETRACT, Strictness.SAFE),
+        (OperatingState.STOPPED, Strictness.SAFE),
+        (OperatingState.FAULT, Strictness.SAFE),
+    ],
+)
+def test_where_the_law_or_the_approach_drives_everything_is_checked(standing, state, strictness):
+    made = standing(state)
+    asked, check = [], made.cycle.checker.check
+    made.cycle.checker.check = lambda *arguments: (asked.append(arguments[1:3]), check(*arguments))[1]
+    made(command=OperatorCommand())
+    assert asked == [(strictness is not Strictness.OFF, strictness)]
+
+
+def test_the_law_is_told_what_the_clamp_left_of_its_torque(standing, runtime, monkeypatch):
+    made = standing(OperatingState.CONTACT)
+    made.cycle.controller.torque = lambda *asked: (30.0, 0.0, 0.0, 0.0)
+    told = []
+    monkeypatch.setattr(runtime, "applied", told.append)
+    result = made()
+    assert result.clamp.rate
+    assert told == [result.applied]
+    assert result.applied != result.wanted
+
+
+@pytest.mark.parametrize("state", [OperatingState.CONTACT, OperatingState.RETRACT])
+def test_pushes_count_in_contact_and_on_the_way_out(standing, state):
+    made = standing(state)
+    made((0.0, 0.0, -1.5))
+    assert made.cycle.pushes.measured == pytest.approx(1.5)
+    before = standing(OperatingState.APPROACH)
+    before((0.0, 0.0, -1.5))
+    assert before.cycle.pushes.measured == 0.0

@@ -1,0 +1,77 @@
+"""What a session asks of the tare, of the wanted force and of the way down: bounds that follow from the controller."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from deploy.errors import CalibrationError
+from deploy.force.sensor import IDENTITY, Mounted, Wrench
+from deploy.loop.session import CHECKED, HEART, STILL, TARING, _tare, deepest, largest_wanted
+from tests.deploy.made import T_S, margin_row
+
+
+class Felt:
+    """A sensor that is tared at once and then reads a force [N], now and then nothing."""
+
+    ready = True
+
+    def __init__(self, force, flags=0):
+        self.wrench, self.flags, self.reads = force, flags, 0
+
+    def request(self):
+        return ()
+
+    def feed(self, frame):
+        return False
+
+    def read(self):
+        self.reads += 1
+        return None if self.reads % 10 == 0 else Wrench(self.wrench, (0.0, 0.0, 0.0), self.flags)
+
+    def tare(self):
+        return ()
+
+
+class Clock:
+    ns = 0
+
+    def now(self):
+        return self.ns
+
+    def wait_until(self, deadline):
+        self.ns = max(self.ns, deadline)
+
+
+def tare(felt):
+    clock = Clock()
+    bus = SimpleNamespace(send=lambda frame: True, receive=lambda timeout: None)
+    _tare(SimpleNamespace(bus=bus, sensor=Mounted(felt, IDENTITY)), clock, T_S)
+    return clock.ns
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_presses_on_the_tool_after_its_tare_is_told_whatever_its_direction(axis, sign):
+    def force(newtons):
+        return tuple(sign * newtons if i == axis else 0.0 for i in range(3))
+
+    assert tare(Felt(force(STILL - 0.01))) == round(1e9 * (TARING + CHECKED * T_S))
+    with pytest.raises(CalibrationError, match="let nothing touch the tool"):
+        tare(Felt(force(STILL + 0.01)))
+
+
+@pytest.mark.parametrize("flags", [0x01, 0x20, 0x40])
+def test_a_tare_needs_sound_readings(flags):
+    with pytest.raises(CalibrationError, match="no sound reading"):
+        tare(Felt((0.0, 0.0, 0.0), flags))
+
+
+def test_the_wanted_force_leaves_room_below_the_limit(arm_artifact):
+    assert arm_artifact.arm.limits.force == 15.0
+    assert largest_wanted(arm_artifact) == pytest.approx(12.0)
+
+
+def test_the_way_down_is_that_of_the_softest_promised_tissue_and_a_heart(arm_artifact):
+    rows = [margin_row(810.0), margin_row(375.0), margin_row(1900.0)]
+    assert deepest(replace(arm_artifact, margins=rows)) == pytest.approx(15.0 / 375.0 + HEART)
