@@ -34,7 +34,7 @@ def asking(build: Callable[..., Any], params: Params, K_s: float, delay: int, id
     A, B, *_ = matrices(build, params, K_s, delay, ideal)
     B = B[:, [0, 1, 3]]
     a = np.zeros((1, len(A)))
-    a[0, 5], a[0, 9] = 1.0, 0.0 if ideal else -float(params.K2)
+    a[0, 5], a[0, 10] = 1.0, 0.0 if ideal else -float(params.K2)
     return A, B, a @ A, a @ B
 
 

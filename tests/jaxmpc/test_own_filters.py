@@ -113,7 +113,7 @@ def test_the_peak_sensitivity_has_slopes() -> None:
 
 @pytest.mark.oracle
 def test_all_margins_have_slopes_in_both_modes() -> None:
-    judged = jax.jit(lambda x: jnp.log(jnp.stack(margins(filtered(x), 1900.0)[:5])))
+    judged = jax.jit(lambda x: jnp.log(jnp.stack(margins(filtered(x), 1600.0)[:5])))
     gradient, expected = slopes(judged, LOGARITHMS)
     assert (np.abs(expected) > 1e-5).all()
     np.testing.assert_allclose(gradient, expected, rtol=1e-4)

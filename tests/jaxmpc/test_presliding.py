@@ -43,9 +43,9 @@ def joints_peak(params: Params, experiment: Experiment, K_s: float, delay: int) 
     held = scipy.linalg.expm(flow * T_S)
     delays, worst = np.exp(-2j * np.pi * np.geomspace(1.0, 400.0, 600) * T_S), 0.0
     for q, C in zip(delays, np.asarray(controller_response(design(params), jnp.asarray(delays))), strict=True):
-        angles, speeds = np.split(np.linalg.solve(np.eye(8) / q - held[:8, :8], held[:8, 8:]) * q**delay, 2)
+        angles, _ = np.split(np.linalg.solve(np.eye(8) / q - held[:8, :8], held[:8, 8:]) * q**delay, 2)
         low = [(1.0 - np.exp(-cut * T_S)) / (1.0 - np.exp(-cut * T_S) * q) for cut in (180.0, 1000.0 * np.pi)]
-        rates, force = low[0] * speeds, low[1] * K_s * J @ angles
+        rates, force = low[0] * (1.0 - q) / T_S * angles, low[1] * K_s * J @ angles
         resting = -20.0 * angles - 9.0 * rates
         inner = M @ resting + J.T @ (force - inertia @ J @ resting)
         wanted = np.linalg.solve(np.eye(4) - inner, J.T @ inertia)

@@ -45,7 +45,7 @@ def test_freezing_is_asked_with_the_margins_of_the_job(small: Job) -> None:
     spec = on_arm(small, {}, phase_margin_deg=30.0, ideal=False)
     assert floor_of(spec) == {"M_s": 2.0, "phase_margin_deg": 30.0}
     assert floor_of(on_arm(small, {}, M_s=3.0, ideal=True)) == {"M_s": 2.0}, "a frozen arm is judged as it runs"
-    assert "M_s at 375 N/m = 4.388" in refusal(spec, Params.published("text"))
+    assert "M_s at 375 N/m = 4.389" in refusal(spec, Params.published("text"))
     assert refusal(on_arm(small, UNLIMITED), Params.published("text")) == "", "a study is not for a robot"
 
 
