@@ -110,6 +110,12 @@ def order(gains: Gains) -> int:
     return len(gains.K) - 3
 
 
+def force_share(gains: Gains) -> Scalar:
+    """L₁/g, the u that asks for no acceleration, per force [-]: exactly 1, and 0 for the architecture "mpc"."""
+    share: Scalar = gains.L[0] / gains.input_gain
+    return share
+
+
 def with_gain(gains: Gains, gain: Scalar) -> Gains:
     """The same controller for a tissue of stiffness K̂_s/gain: what it commands is scaled, what it estimates is not."""
     K_1, K_2, *K_v = (gains.K[i] for i in range(len(gains.K)))
