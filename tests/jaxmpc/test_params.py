@@ -13,6 +13,8 @@ from jaxmpc import InputError, Params, margins
 from jaxmpc.quantities import HP_MAX
 
 BATCH = Params.stack([Params(), Params()])
+BEYOND = np.where(np.arange(HP_MAX) < 30, 0.0, 0.9)
+"""Weights on errors beyond the default H_p alone."""
 
 
 @pytest.mark.parametrize(
@@ -24,6 +26,8 @@ BATCH = Params.stack([Params(), Params()])
         ({"Hu": jnp.asarray(15.0), "Hp": 3}, "Hu"),
         ({"Hp": jnp.asarray(3.5)}, "Hp"),
         ({"delta": jnp.zeros(HP_MAX)}, "delta"),
+        ({"delta": BEYOND, "Hp": 30}, "delta"),
+        ({"delta": jnp.asarray(BEYOND)}, "delta"),
         ({"Khat_s": np.array([500.0, 900.0])}, "Khat_s"),
         ({"K2": [10.0, 20.0]}, "K2"),
         ({"lam": [0.1, 0.2]}, "lam"),
@@ -50,6 +54,12 @@ def test_what_is_known_is_checked_beside_what_is_traced() -> None:
     for values in ({"K2": -1.0}, {"Hp": 3, "Hu": 5}, {"K2": np.ones(2)}):
         with pytest.raises(InputError):
             jax.jit(lambda lam, values=values: built(lam, **values))(0.1)
+
+
+def test_weights_within_the_horizon_of_each_controller_count() -> None:
+    assert np.asarray(Params(delta=BEYOND, Hp=31).delta)[30] == 0.9
+    with pytest.raises(InputError, match=r"delta = 0\.0: must be positive somewhere within Hp \(= 20\)"):
+        Params(delta=BEYOND, Hp=40).with_columns({"Hp": [40, 20]})
 
 
 def test_shapes_and_other_marks_may_stand_for_numbers() -> None:
