@@ -84,6 +84,10 @@ def _flat(nested: Any) -> list[float]:
     return [x for each in nested for x in _flat(each)] if isinstance(nested, list | tuple) else [float(nested)]
 
 
+KNOTS_APART = 1.001
+"""Least ratio of the stiffnesses of two neighbouring knots [-]: float32 tells ln K̂ apart by a thousandth of that."""
+
+
 class Knot(NamedTuple):
     """The controller for one known stiffness of the tissue."""
 
