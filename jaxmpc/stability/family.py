@@ -22,6 +22,7 @@ from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design, design_one, designed
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.sampling import check_sampling
 from jaxmpc.synthesis.timing import Timing
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla import ops
@@ -95,6 +96,7 @@ def gains_on(params: Params, stiffness: Any, path: LoopPath) -> tuple[Gains, Flo
         one = design(params, Timing(path.T_s), path.force_filter), params.K2
         wide = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(stiffness), *np.shape(leaf))), one)
     else:
+        check_sampling(params, path.T_s)
         wide = _frozen(params, jnp.asarray(stiffness, float), path)[:2]
     found: tuple[Gains, np.ndarray] = jax.tree.map(np.asarray, wide)
     return found
