@@ -78,7 +78,7 @@ def whole_arm_system(
         chain: The arm.
         kind: Structure of its world.
         robot: Its constants, the tissue's stiffness among them.
-        gains: One controller.
+        gains: One controller; a schedule is left out, the loop is that of the fixed gains.
         K2: Its damping [1/s].
         sticking: Whether the joints stick, else they slide.
     """

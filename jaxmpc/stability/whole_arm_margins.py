@@ -54,7 +54,7 @@ def sensitivity(system: System, theta: Any) -> Complex[Array, "9"]:
 
 @in_float64
 def whole_arm_margins(params: Params, experiment: Experiment, sticking: bool = False) -> WholeArmMargins:
-    """Margins of one controller on the whole arm.
+    """Margins of one controller on the whole arm; of a family those of its fixed gains, with which contact begins.
 
     Args:
         params: One controller.
