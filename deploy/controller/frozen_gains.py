@@ -1,12 +1,13 @@
 """Gains of a frozen controller, checked against what the law declares of them, and as plain data."""
 
+import math
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
 from deploy.controller.checks import AGAIN, array, constants, keyed
 from jaxmpc.files.errors import InputError
-from jaxmpc.law.gains import Gains, GainSchedule, constant_reference, order
+from jaxmpc.law.gains import KNOTS_APART, Gains, GainSchedule, constant_reference, order
 from jaxmpc.law.scalar import Constant, declared
 
 
@@ -30,8 +31,9 @@ def checked(gains: Any) -> Gains:
 
 def _check_family(gains: Gains, family: GainSchedule) -> None:
     places = [knot.log_stiffness for knot in family.knots]
-    if any(low >= high for low, high in pairwise(places)):
-        raise InputError("schedule.knots", places, "in the order of their stiffness", AGAIN)
+    # The least ratio of the design, but for rounding.
+    if any(high - low < 0.999 * math.log(KNOTS_APART) for low, high in pairwise(places)):
+        raise InputError("schedule.knots", places, "in the order of their stiffness, 0.1 % apart", AGAIN)
     for knot in family.knots:
         late = (knot.gains.K_earlier is None) == (gains.K_earlier is None)
         alike = late and len(knot.gains.K) == len(gains.K) and len(knot.gains.mpc_ref) == len(gains.mpc_ref)

@@ -35,10 +35,13 @@ from typing import NamedTuple
 
 from jaxmpc.law import force_filter, repetition
 from jaxmpc.law.force_filter import FilteredForce
-from jaxmpc.law.gains import Gains, order
+from jaxmpc.law.gains import Gains, force_share, order
 from jaxmpc.law.repetition import Learned
 from jaxmpc.law.scalar import Scalar
 from jaxmpc.law.stiffness import StiffnessEstimate, unknown
+
+ANSWER_FLOOR = 1e-30
+"""Far below the square of what an MPC answers to an input: one that answers to nothing needs no input to begin with."""
 
 
 class AxisState(NamedTuple):
@@ -49,7 +52,7 @@ class AxisState(NamedTuple):
     p_hat: Scalar
     """Active state: estimated disturbance at the input [m/s²]."""
     u: Scalar
-    """Previous MPC output, the force reference of the inner loop [N]."""
+    """Previous MPC output, the force reference of the inner loop [N]; MPC alone asks for an acceleration [m/s²]."""
     v: Scalar
     """Previous command [m/s²]. After a clamp, put what was really applied: `state._replace(v=…)`."""
     trend: tuple[Scalar, ...] = ()
@@ -74,7 +77,31 @@ def init(gains: Gains, force: Scalar = 0.0) -> AxisState:
     learning = None if schedule is None else schedule.repetition
     learned = None if learning is None else repetition.nothing(learning, force)
     trend = (zero,) * (order(gains) - 1)
-    return AxisState((force, zero, zero), zero, force, zero, trend, filtered, tissue, earlier, learned)
+    u = force_share(gains) * force
+    return AxisState((force, zero, zero), zero, u, zero, trend, filtered, tissue, earlier, learned)
+
+
+def going_on(gains: Gains, force: Scalar, v: Scalar) -> AxisState:
+    """State in contact with a measured force [N] that goes on with a command v [m/s²] while that force is wanted.
+
+    The cascades take what v has held for a disturbance, p̂ = −v. MPC alone, which knows of none and would keep a p̂ for
+    ever, takes v for its own, and begins with an input x̂₃ = a that has it ask for v once more: with Y, Ẏ the force and
+    force rate that it is given per input, a (mₓ₁ Y + mₓ₂ Ẏ) = −mᵤ v. Its observer forgets a as it does any error.
+
+    Args:
+        gains: The controller.
+        force: Measured force on the tissue [N].
+        v: What was asked of the tip so far [m/s²].
+    """
+    state, share = init(gains, force), force_share(gains)
+    own = (1.0 - share) * v
+    # Where commands act after two samples, the MPC is given a prediction with a; else a is corrected by the observer.
+    K_1, K_2 = (gains.K[0], gains.K[1]) if gains.K_earlier is None else (0.0, 0.0)
+    gamma_1, gamma_2 = gains.gamma
+    answer = gains.mpc_x[0] * (1.0 - K_1) * gamma_1 + gains.mpc_x[1] * (gamma_2 - K_2 * gamma_1)
+    last = -gains.mpc_u * answer / (answer * answer + ANSWER_FLOOR) * own
+    y, ydot, at_rest = state.x_hat
+    return state._replace(x_hat=(y, ydot, at_rest + last), p_hat=-(share * v), u=state.u + own, v=v)
 
 
 def filter_force(gains: Gains, state: AxisState, force: Scalar) -> tuple[AxisState, Scalar]:

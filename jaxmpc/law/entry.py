@@ -1,7 +1,8 @@
 """How contact is entered, and how a lost force is bridged.
 
 What was asked of the tip before contact, v = a + K₂ẋ, was all that held it where it is: the observers take it for the
-disturbance, p̂ = −v. While the wanted force is the measured one, the cascades then begin with the same a: no bump.
+disturbance, p̂ = −v. While the wanted force is the measured one, the cascades then begin with the same a: no bump. So
+does MPC alone, which has no active state and forgets v within its observer's time (`cascade.going_on`).
 """
 
 from jaxmpc.law import cascade, computed_torque, gain_backoff, momentum_observer, pulse, schedule
@@ -22,9 +23,7 @@ def enter(controller: Controller, state: ControllerState, force: Vector, a: Vect
         ops: Scalar functions.
     """
     v = add(a, scale(controller.K2, computed_torque.tip_velocity(controller.chain, *state.measured, ops)))
-    x, y, z = (
-        cascade.init(controller.gains, felt)._replace(p_hat=-held, v=held) for felt, held in zip(force, v, strict=True)
-    )
+    x, y, z = (cascade.going_on(controller.gains, felt, held) for felt, held in zip(force, v, strict=True))
     guard = None if controller.gains.guard is None else gain_backoff.init(0.0 * force[0])
     momentum = None if controller.momentum_bandwidth is None else momentum_observer.init(state.measured.velocity)
     learning = schedule.repetition_of(controller.gains)

@@ -84,6 +84,10 @@ def _flat(nested: Any) -> list[float]:
     return [x for each in nested for x in _flat(each)] if isinstance(nested, list | tuple) else [float(nested)]
 
 
+KNOTS_APART = 1.001
+"""Least ratio of the stiffnesses of two neighbouring knots [-]: float32 tells ln K̂ apart by a thousandth of that."""
+
+
 class Knot(NamedTuple):
     """The controller for one known stiffness of the tissue."""
 
@@ -108,6 +112,12 @@ class GainSchedule(NamedTuple):
 def order(gains: Gains) -> int:
     """Disturbance order N of one controller."""
     return len(gains.K) - 3
+
+
+def force_share(gains: Gains) -> Scalar:
+    """L₁/g, the u that asks for no acceleration, per force [-]: exactly 1, and 0 for the architecture "mpc"."""
+    share: Scalar = gains.L[0] / gains.input_gain
+    return share
 
 
 def with_gain(gains: Gains, gain: Scalar) -> Gains:

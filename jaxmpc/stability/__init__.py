@@ -198,18 +198,31 @@ def margins(
         Margins, each of the batch's shape followed by that of `stiffness`.
 
     Raises:
-        InputError: A stiffness is not positive, or the delay is not 1 or 2.
+        InputError: A stiffness is not positive, the delay is not 1 or 2, or the batch is empty.
     """
-    values = jnp.asarray(stiffness, jnp.float64)
+    values = _real(stiffness)
     if not isinstance(values, jax.core.Tracer) and not bool(jnp.all((values > 0.0) & jnp.isfinite(values))):
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
     if not values.size:
         raise InputError("stiffness", "none", "at least one [N/m]", "Tissue has 300 to 1900.")
     if path is None:
         path = loop_path(delay=delay, ideal=ideal)
+    if 0 in params.batch_shape:
+        raise InputError("params", "an empty batch", "at least one controller", "Take rows that are there.")
     flat = reshaped(params, len(params.batch_shape), -1)
     gains, residual = designed(flat, path.T_s, path.force_filter)
     path = path.with_cutoff(flat.velocity_cutoff)
     contacts = contacts_between(flat.K2, reshaped(values, values.ndim, -1), path)
     found = margins_of_cells(cells_of(gains, contacts, residual), ideal=path.ideal)
     return reshaped(found, 1, *params.batch_shape, *values.shape)
+
+
+def _real(stiffness: Any) -> Float[Array, "..."]:
+    """Stiffnesses as an array; words, truth values and complex numbers are none."""
+    try:
+        values = jnp.asarray(stiffness)
+    except (TypeError, ValueError, OverflowError):
+        values = jnp.asarray(False)
+    if not any(jnp.issubdtype(values.dtype, kind) for kind in (jnp.floating, jnp.integer)):
+        raise InputError("stiffness", stiffness, "a number, or an array of them [N/m]", "Tissue has 300 to 1900.")
+    return values.astype(jnp.float64)

@@ -22,6 +22,7 @@ from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design, design_one, designed
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.sampling import check_sampling
 from jaxmpc.synthesis.timing import Timing
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla import ops
@@ -51,7 +52,8 @@ def held(gains: Gains, K2: Any, stiffness: Float[Array, " known"]) -> tuple[Gain
     Args:
         gains: Of the family, with its schedule.
         K2: Damping of its fixed gains [1/s].
-        stiffness: K̂ [N/m]; NaN where it is not known and the fixed gains have the control.
+        stiffness: K̂ [N/m], held within what the identification believes at most, as the law holds it; NaN where it is
+            not known and the fixed gains have the control.
 
     Returns:
         Gains with the stiffnesses as leading dimension, damping (known,).
@@ -59,10 +61,12 @@ def held(gains: Gains, K2: Any, stiffness: Float[Array, " known"]) -> tuple[Gain
     family = gains.schedule
     assert family is not None
     fixed = gains._replace(guard=None, schedule=None), jnp.asarray(K2)
+    least, most = family.identification.least, family.identification.most
 
     def at(K_hat: Any) -> tuple[Gains, Any]:
         known = jnp.isfinite(K_hat)
-        found, damping = schedule.at(family, jnp.log(jnp.where(known, K_hat, 1.0)), ops)
+        believed = ops.clip(jnp.log(jnp.where(known, K_hat, 1.0)), least, most)
+        found, damping = schedule.at(family, believed, ops)
         vectors: dict[str, Any] = {name: jnp.stack(getattr(found, name)) for name in ("gamma", "K", "L")}
         found = found._replace(**vectors, force_filter=gains.force_filter)
         chosen: tuple[Gains, Any] = jax.tree.map(partial(jnp.where, known), (found, damping), fixed)
@@ -89,12 +93,14 @@ _frozen = JitOnce(frozen)
 def gains_on(params: Params, stiffness: Any, path: LoopPath) -> tuple[Gains, Float[np.ndarray, " stiffness"]]:
     """Gains and damping [1/s] of a controller on tissues (stiffness,) [N/m]: of one with knots those for each, known.
 
-    Without knots they are the same on all; either way plain arrays, with the tissues as leading dimension.
+    Beyond the outer knots they are those that the law has there, whose K̂ is held (`held`). Without knots they are the
+    same on all; either way plain arrays, with the tissues as leading dimension.
     """
     if params.listening is None:
         one = design(params, Timing(path.T_s), path.force_filter), params.K2
         wide = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(stiffness), *np.shape(leaf))), one)
     else:
+        check_sampling(params, path.T_s)
         wide = _frozen(params, jnp.asarray(stiffness, float), path)[:2]
     found: tuple[Gains, np.ndarray] = jax.tree.map(np.asarray, wide)
     return found

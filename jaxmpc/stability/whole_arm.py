@@ -27,6 +27,7 @@ from jaxmpc.stability.family import held
 from jaxmpc.stability.loop import transition_matrix
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.sampling import check_sampling
 from jaxmpc.world import arm, friction
 from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.joint_acceleration import accelerate
@@ -77,7 +78,7 @@ def whole_arm_system(
         chain: The arm.
         kind: Structure of its world.
         robot: Its constants, the tissue's stiffness among them.
-        gains: One controller.
+        gains: One controller; a schedule is left out, the loop is that of the fixed gains.
         K2: Its damping [1/s].
         sticking: Whether the joints stick, else they slide.
     """
@@ -144,6 +145,7 @@ def lost(params: Params, experiments: Sequence[Experiment]) -> Bool[np.ndarray, 
     found = np.zeros(len(experiments), bool)
     for program in dict.fromkeys(programs):
         kind, T_s, force_filter = program
+        check_sampling(params, T_s)
         mine = [i for i, each in enumerate(programs) if each == program]
         robots = with_cutoff(robots_of([experiments[i] for i in mine]), params.velocity_cutoff, ARRAYS)
         for gains, K2 in _controllers(params, [experiments[i].stiffness[0] for i in mine], T_s, force_filter):

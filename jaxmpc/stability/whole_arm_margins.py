@@ -25,6 +25,7 @@ from jaxmpc.stability.loop import spectral_radius
 from jaxmpc.stability.whole_arm import ROUNDING, System, whole_arm_system
 from jaxmpc.synthesis import design_one
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.sampling import check_sampling
 from jaxmpc.world import arm
 from jaxmpc.world.robot import with_cutoff
 from jaxmpc.xla import ops
@@ -53,7 +54,7 @@ def sensitivity(system: System, theta: Any) -> Complex[Array, "9"]:
 
 @in_float64
 def whole_arm_margins(params: Params, experiment: Experiment, sticking: bool = False) -> WholeArmMargins:
-    """Margins of one controller on the whole arm.
+    """Margins of one controller on the whole arm; of a family those of its fixed gains, with which contact begins.
 
     Args:
         params: One controller.
@@ -65,6 +66,7 @@ def whole_arm_margins(params: Params, experiment: Experiment, sticking: bool = F
     """
     if params.batch_shape:
         raise InputError("params", f"a batch {params.batch_shape}", "one controller", "Ask for one after another.")
+    check_sampling(params, experiment.sampling_time)
     robot = with_cutoff(robot_on_its_tissue(experiment), params.velocity_cutoff, ops)
     kind = structure_of(experiment.arm, experiment.tissue)
     force_filter = experiment.loop_path().force_filter

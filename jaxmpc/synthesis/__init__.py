@@ -22,6 +22,7 @@ from jaxmpc.synthesis.learning import repetition
 from jaxmpc.synthesis.mpc import first_move
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
+from jaxmpc.synthesis.sampling import check_sampling
 from jaxmpc.synthesis.timing import Timing
 from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
@@ -40,7 +41,11 @@ def design_one(
         mask_width: Softness of the horizons, 1 is exact [samples].
         force_filter: What the measured force passes first, unless the controller brings a filter of its own; the
             design of all else knows of neither.
+
+    Raises:
+        InputError: At this sampling time a part of the controller would do nothing (`check_sampling`).
     """
+    check_sampling(params, T_s)
     if params.force_cutoff is not None:
         force_filter = kalman_filter(jnp.asarray(params.force_cutoff), jnp.asarray(T_s), ops)
     if params.listening is not None:
@@ -140,7 +145,11 @@ def designed(
         params: The controllers.
         T_s: Sampling time [s].
         force_filter: What the measured force passes first, as for `design_one`.
+
+    Raises:
+        InputError: As `design_one`.
     """
+    check_sampling(params, T_s)
     arguments = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), (params, T_s, force_filter))
     found: tuple[Gains, Any] = _design(*arguments)
     return found
@@ -161,6 +170,9 @@ def design(params: Params, timing: Timing | None = None, force_filter: ForceFilt
 
     Returns:
         L (…, 3), K (…, 3 + N), mpc_ref (…, 64), mpc_x (…, 2), mpc_u (…), … in float64; see `Gains`.
+
+    Raises:
+        InputError: At this sampling time a part of the controller would do nothing (`check_sampling`).
     """
     batch = params.batch_shape
     gains, _ = designed(reshaped(params, len(batch), -1), (timing or Timing()).T_s, force_filter)

@@ -4,12 +4,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
+from numbers import Real
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.law.gains import KNOTS_APART
 from jaxmpc.law.stiffness import StiffnessIdentification
 
 BOUNDS: Mapping[str, tuple[float, float, str]] = {
@@ -47,7 +50,7 @@ class Listening:
         beats: In how many beats most of it is learned [-].
 
     Raises:
-        InputError: A value is out of bounds, or the stiffnesses do not rise.
+        InputError: A value is of the wrong kind or out of bounds, or the stiffnesses do not rise.
     """
 
     stiffness: tuple[float, ...]
@@ -63,10 +66,12 @@ class Listening:
     beats: float = 2.5
 
     def __post_init__(self) -> None:
-        places = self.stiffness
-        rising = all(low < high for low, high in pairwise(places))
+        places = _numbers(self.stiffness)
+        object.__setattr__(self, "stiffness", places)
+        rising = all(KNOTS_APART * low <= high for low, high in pairwise(places))
         if not places or not rising or not all(math.isfinite(K) and 1.0 <= K <= 1e6 for K in places):
-            raise InputError("listening.stiffness", list(places), "rising, each in [1, 1e6] N/m", "One for every knot.")
+            bound = "rising, each in [1, 1e6] N/m and 0.1 % or more above the one before"
+            raise InputError("listening.stiffness", list(places), bound, "One for every knot.")
         for name, (low, high, unit) in BOUNDS.items():
             value = getattr(self, name)
             kind = int if name == "harmonics" else int | float
@@ -84,10 +89,7 @@ class Listening:
         for name in values:
             if name not in known:
                 raise InputError(f"listening.{name}", values[name], "a known setting", nearest(name, known))
-        places = values.get("stiffness", ())
-        if not isinstance(places, list | tuple) or not all(isinstance(K, int | float) for K in places):
-            raise InputError("listening.stiffness", places, "numbers [N/m]", "One for every knot.")
-        return Listening(**{**values, "stiffness": tuple(map(float, places))})
+        return Listening(**{"stiffness": (), **values})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as `from_dict` takes them."""
@@ -114,3 +116,15 @@ class Listening:
         )
         constants: StiffnessIdentification = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), found)
         return constants
+
+
+def _numbers(places: Any) -> tuple[float, ...]:
+    """Stiffnesses of a file or of a caller as floats [N/m].
+
+    Raises:
+        InputError: They are something else.
+    """
+    given = places.tolist() if isinstance(places, np.ndarray) else places
+    if not isinstance(given, list | tuple) or not all(isinstance(K, Real) and not isinstance(K, bool) for K in given):
+        raise InputError("listening.stiffness", places, "numbers [N/m]", "One for every knot.")
+    return tuple(map(float, given))

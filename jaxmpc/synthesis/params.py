@@ -31,7 +31,8 @@ class Params(eqx.Module, ParameterValues):
     `delta` and `R` only set scales: the controller depends on λ/δ and Q/R alone.
 
     Raises:
-        InputError: A value is not finite or out of its bounds, H_u exceeds H_p, or arrays are of several shapes.
+        InputError: A value is not finite or out of its bounds, H_u exceeds H_p, arrays are of several shapes,
+            or knots are no controllers of the same batch.
     """
 
     architecture: Architecture = eqx.field(static=True, default="mpc-aob")
@@ -79,8 +80,12 @@ class Params(eqx.Module, ParameterValues):
             if isinstance(value, str | list | dict) or (value is None and name not in FILTERS):
                 raise InputError(name, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
         # Other leaves stand for numbers: shapes, axes to be mapped over, marks.
-        arrays = {name: value for name, value in self.numbers.items() if isinstance(value, np.ndarray | jax.Array)}
+        arrays = self._arrays
         batch = batch_of(arrays)
+        for knot in self.knots if arrays else ():
+            if knot._arrays and (own := batch_of(knot._arrays)) != batch:
+                found, wanted = (f"of the batch {shape}" if shape else "one controller" for shape in (own, batch))
+                raise InputError("knots", found, f"{wanted}, as [params]", "Stack whole families with Params.stack.")
         known = {name: value for name, value in arrays.items() if not isinstance(value, jax.core.Tracer)}
         check_values(jax.device_get(known), {each.name: each.default for each in fields(self)}, len(batch))
 
@@ -94,6 +99,8 @@ class Params(eqx.Module, ParameterValues):
             remedy = "Give [params.listening] a stiffness for every [[params.knots]]."
             raise InputError("knots", f"{len(self.knots)} of them", f"as many as stiffnesses, {len(places)}", remedy)
         for knot in self.knots:
+            if not isinstance(knot, Params):
+                raise InputError("knots", knot, "a tuple of Params", "`Params.from_dict` takes tables for them.")
             same = all(getattr(knot, name) == getattr(self, name) for name in SHARED)
             if knot.knots or knot.guarded or not same:
                 remedy = f"Leave {', '.join(SHARED)} and guarded to the table above it."
@@ -113,6 +120,11 @@ class Params(eqx.Module, ParameterValues):
         """Its parameters by their names, but for filters that are the experiment's."""
         values = {name: getattr(self, name) for name in PARAMETERS}
         return {name: value for name, value in values.items() if value is not None}
+
+    @property
+    def _arrays(self) -> dict[str, Any]:
+        """Those of its numbers that are arrays, traced or not."""
+        return {name: value for name, value in self.numbers.items() if isinstance(value, np.ndarray | jax.Array)}
 
     @property
     def structure(self) -> dict[str, Any]:

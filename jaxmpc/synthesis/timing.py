@@ -2,6 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from numbers import Real
+
+import jax
+import numpy as np
 
 from jaxmpc.files.errors import InputError
 
@@ -19,7 +23,8 @@ class Timing:
     delay: int = 1
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.T_s) and 1e-5 <= self.T_s <= 0.1):
+        number = isinstance(self.T_s, Real | np.ndarray | jax.Array) and not isinstance(self.T_s, bool)
+        if not (number and np.ndim(self.T_s) == 0 and math.isfinite(self.T_s) and 1e-5 <= self.T_s <= 0.1):
             raise InputError("T_s", self.T_s, "in [1e-5, 0.1] s", "The paper's controller runs at 1e-3.")
         if self.delay not in (1, 2):
             raise InputError("delay", self.delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")

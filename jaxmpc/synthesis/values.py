@@ -106,5 +106,18 @@ def check_values(values: Mapping[str, np.ndarray], typical: Mapping[str, Any], b
         hu, hp = np.ravel(values["Hu"])[row], np.ravel(values["Hp"])[row]
         raise InputError("Hu", f"{hu:g}", f"in [1, Hp (= {hp:g})] samples", "Lower Hu or raise Hp.")
     delta = values.get("delta")
-    if delta is not None and not np.all(np.sum(delta, axis=tuple(range(batch, delta.ndim))) > 0.0):
-        raise InputError("delta", 0.0, "positive somewhere", "Without weight on the force error nothing is controlled.")
+    if delta is None:
+        return
+    nowhere = ~np.any(_predicted(delta, values.get("Hp"), batch), axis=tuple(range(batch, delta.ndim)))
+    if nowhere.any():
+        row = np.flatnonzero(nowhere)[0]
+        reach = f" within Hp (= {np.ravel(values['Hp'])[row]:g})" if "Hp" in values else ""
+        remedy = "Without weight on the force error nothing is controlled."
+        raise InputError("delta", 0.0, f"positive somewhere{reach}", remedy)
+
+
+def _predicted(delta: np.ndarray, Hp: np.ndarray | None, batch: int) -> np.ndarray:
+    """Weights on errors that the horizon reaches, where it is known: the others control nothing."""
+    if Hp is None or delta.ndim == batch:
+        return delta
+    return np.where(np.arange(1, delta.shape[-1] + 1) <= np.asarray(Hp)[..., None], delta, 0.0)

@@ -81,6 +81,20 @@ def text_gains() -> Gains:
     )
 
 
+def gains_alone() -> Gains:
+    """The published MPC without the observer, whose output is the acceleration."""
+    return Gains(
+        phi=(0.000997235108679532, 0.9944753174979154),
+        gamma=(0.0005958990648, 1.1906987197),
+        K=(0.22784814, 29.41654838, 0.0, 0.0),
+        L=(0.0, 0.0, 0.0),
+        input_gain=1.0,
+        mpc_ref=(70.60439422, *[0.0] * 63),
+        mpc_x=(70.60439422, 0.35397271),
+        mpc_u=1.0363459037628586,
+    )
+
+
 def guarded_gains() -> Gains:
     return text_gains()._replace(guard=gain_backoff.constants(T_S, FLOATS))
 

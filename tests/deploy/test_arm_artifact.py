@@ -1,11 +1,12 @@
 """The kind "wam" as a file: what is in it comes back, and whatever is missing or wrong has a sentence of its own."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from deploy.controller import arm_model, golden
+from deploy.controller import arm_model, frozen_gains, golden
 from deploy.controller.arm_model import MEANING, ROBOT, ArmModel
 from deploy.controller.file import ArtifactError, from_bytes, load, to_bytes
 from deploy.controller.freeze import freeze
@@ -173,6 +174,19 @@ def test_a_model_without_a_table_is_refused(opened):
 )
 def test_each_wrong_entry_has_its_sentence(opened, path, value, message):
     refused(opened, message, path, value)
+
+
+@pytest.mark.parametrize(("ratio", "told_apart"), [(0.9, False), (1.0, False), (1.0009, False), (1.001, True)])
+def test_knots_are_as_far_apart_as_a_design_has_them(ratio, told_apart):
+    gains = made.scheduled_gains()
+    first, second = gains.schedule.knots
+    near = second._replace(log_stiffness=first.log_stiffness + math.log(ratio))
+    near = gains._replace(schedule=gains.schedule._replace(knots=(first, near)))
+    if told_apart:
+        assert frozen_gains.checked(near) == near
+    else:
+        with pytest.raises(InputError, match=r"schedule\.knots = .*: must be in the order of their stiffness"):
+            frozen_gains.checked(near)
 
 
 @pytest.fixture(scope="module")

@@ -165,7 +165,9 @@ def test_servo_asks_the_same_torque_as_control_for_the_same_acceleration(runtime
     assert runtime.servo(q, qd, runtime.last_a, tuple(force)) == torque
 
 
-@pytest.mark.parametrize("cancelling", [{}, {"compensated": True}, {"momentum_observer": 100.0}])
+@pytest.mark.parametrize(
+    "cancelling", [{}, {"compensated": True}, {"momentum_observer": 100.0}, {"gains": made.gains_alone()}]
+)
 def test_entry_is_bumpless(cancelling):
     """The tip moves while a servo pushes against friction; then the cascades take over without a step."""
     runtime, pushing = arm_runtime(made.arm_artifact(**cancelling)), (0.5, -0.3, -2.0)

@@ -101,14 +101,15 @@ def answer(params: Params, preview: bool, samples: int = 400) -> np.ndarray:
 
 
 @pytest.mark.parametrize("architecture", ["mpc-aob", "aob", "mpc"])
-@pytest.mark.parametrize("preview", [False, True])
-def test_it_answers_as_the_design_for_one_sample_does_a_sample_later(architecture: Any, preview: bool) -> None:
-    """All poles of the nominal loop are those of one sample, and one more at 0; what is known ahead comes in time.
+@pytest.mark.parametrize(("preview", "Hp"), [(False, 30), (True, 30), (False, 64)])
+def test_it_answers_as_one_sample_does_a_sample_later(architecture: Any, preview: bool, Hp: int) -> None:
+    """All poles of the nominal loop are those of the design for one sample, and one more at 0.
 
-    A classical estimate of one sample and of two is the same where nothing disturbs.
+    What is known ahead comes in time. A classical estimate of one sample and of two is the same where nothing disturbs.
+    At the longest horizon the last two weights are one: all of them count still.
     """
-    one = answer(Params(architecture=architecture, K2=10.0), preview)
-    two = answer(Params(architecture=architecture, K2=10.0, designed_delay=2), preview)
+    one = answer(Params(architecture=architecture, K2=10.0, Hp=Hp), preview)
+    two = answer(Params(architecture=architecture, K2=10.0, Hp=Hp, designed_delay=2), preview)
     assert one[-1] == pytest.approx(1.0, abs=1e-2)
     expected = one if preview else np.concatenate([[0.0], one[:-1]])
     np.testing.assert_allclose(two, expected, atol=1e-9)

@@ -233,6 +233,30 @@ def smallest_lag(L: np.ndarray) -> float:
     return float(np.degrees(np.min(np.mod(angle + np.pi, 2.0 * np.pi))))
 
 
+def seen_at_once(constants: Any, rate: float, q: np.ndarray) -> np.ndarray:
+    """R₀ at q = z⁻¹ [-]: what is learned of an error, without lead and low-pass, a sample late."""
+    turn = rate * T_s * np.arange(1, len(constants.gains) + 1)[:, None]
+    shares = np.clip((constants.highest - turn / T_s) / repetition.FADING, 0.0, 1.0)
+    learned = np.asarray(constants.gains)[:, None] * rate * shares**2
+    response: np.ndarray = np.sum(learned * (q * np.cos(turn) - q**2) / (1.0 - 2.0 * q * np.cos(turn) + q**2), axis=0)
+    return response
+
+
+@pytest.mark.parametrize("used", [0.25, 0.75, 1.0])
+def test_with_a_share_in_use_the_law_learns_as_its_linear_model(used: float) -> None:
+    """r = −h R/(1 + (1 − h) R₀) e, from the law's answer to an impulse, off the circle, where it fades in seconds."""
+    rate, size, seconds = 2.0 * np.pi * 1.3, 1e-3, 4.0
+    learned, added = repetition.nothing(LEARNING, 0.0), []
+    for k in range(round(seconds / T_s)):
+        beat, error = steady_beat(rate, k), size if k == 0 else 0.0
+        learned, more = repetition.step(LEARNING, learned._replace(used=used), beat, error, 1.0, FLOATS)
+        added.append(used * more / learned.used if learned.used else 0.0)
+    q = np.exp(-(8.0 + 1j * FREQUENCIES) * T_s)
+    answered = np.array([np.sum(np.array(added) / size * each ** np.arange(len(added))) for each in q])
+    R = np.asarray(held_beat.response(HeldBeat(LEARNING, jnp.asarray(rate)), q))
+    np.testing.assert_allclose(answered, -used * R / (1.0 + (1.0 - used) * seen_at_once(LEARNING, rate, q)), rtol=1e-6)
+
+
 @pytest.mark.parametrize("hertz", [0.7, 1.3, 2.3])
 def test_what_is_used_in_part_takes_no_margin_either(hertz: float) -> None:
     """With a share h in use, c_n learns of e + (1 − h) times what it would add now: r = −h R/(1 + (1 − h) R₀) e.
@@ -244,10 +268,7 @@ def test_what_is_used_in_part_takes_no_margin_either(hertz: float) -> None:
     theta = (np.arange(1.0, 4000.0) + 0.37) * 2.0 * np.pi * 1e-4  # no angle of a resonance
     q = np.exp(-1j * theta)
     R = np.asarray(held_beat.response(HeldBeat(whole, jnp.asarray(rate)), q))
-    turn = rate * T_s * np.arange(1, 9)[:, None]
-    shares = np.clip((whole.highest - turn / T_s) / repetition.FADING, 0.0, 1.0)
-    learned = np.asarray(whole.gains[0]) * rate * shares**2
-    R_0 = np.sum(learned * (q * np.cos(turn) - q**2) / (1.0 - 2.0 * q * np.cos(turn) + q**2), axis=0)
+    R_0 = seen_at_once(whole, rate, q)
     known = np.array([375.0, 810.0, 1900.0])
     gains, K2 = held(design(FAMILY), FAMILY.K2, jnp.asarray(known))
     for i, K_s in enumerate(known):

@@ -11,8 +11,12 @@ import pytest
 
 from jaxmpc import InputError, Params, margins
 from jaxmpc.quantities import HP_MAX
+from jaxmpc.synthesis.listening import Listening
+from jaxmpc.synthesis.timing import Timing
 
 BATCH = Params.stack([Params(), Params()])
+BEYOND = np.where(np.arange(HP_MAX) < 30, 0.0, 0.9)
+"""Weights on errors beyond the default H_p alone."""
 
 
 @pytest.mark.parametrize(
@@ -24,6 +28,8 @@ BATCH = Params.stack([Params(), Params()])
         ({"Hu": jnp.asarray(15.0), "Hp": 3}, "Hu"),
         ({"Hp": jnp.asarray(3.5)}, "Hp"),
         ({"delta": jnp.zeros(HP_MAX)}, "delta"),
+        ({"delta": BEYOND, "Hp": 30}, "delta"),
+        ({"delta": jnp.asarray(BEYOND)}, "delta"),
         ({"Khat_s": np.array([500.0, 900.0])}, "Khat_s"),
         ({"K2": [10.0, 20.0]}, "K2"),
         ({"lam": [0.1, 0.2]}, "lam"),
@@ -33,12 +39,36 @@ BATCH = Params.stack([Params(), Params()])
         ({"delta": {"first": 0.9}}, "delta"),
         ({"listening": 3}, "listening"),
         ({"knots": 3}, "knots"),
+        ({"knots": (3,), "listening": Listening((375.0,))}, "knots"),
+        ({"knots": (BATCH,), "listening": Listening((375.0,))}, "knots"),
     ],
 )
 def test_no_controller_has_such_numbers(values: dict[str, Any], key: str) -> None:
     with pytest.raises(InputError) as refused:
         Params(**values)
     assert refused.value.key == key
+
+
+@pytest.mark.parametrize(
+    "stiffness",
+    [375.0, None, "375", ("375",), (True,), (), (810.0, 810.0), (810.0, 810.1), [[375.0, 550.0]], np.eye(2)],
+)
+def test_no_family_has_such_stiffnesses(stiffness: Any) -> None:
+    with pytest.raises(InputError) as refused:
+        Listening(stiffness)
+    assert refused.value.key == "listening.stiffness"
+
+
+@pytest.mark.parametrize("stiffness", [[375.0, 550.0], (375, 550), np.array([375.0, 550.0])])
+def test_any_sequence_of_stiffnesses_is_one_of_floats(stiffness: Any) -> None:
+    assert Listening(stiffness) == Listening((375.0, 550.0))
+    assert hash(Listening(stiffness)) == hash(Listening((375.0, 550.0)))
+
+
+@pytest.mark.parametrize("T_s", ["1", None, True, [1e-3], np.array([1e-3]), 1.0, float("nan")])
+def test_no_controller_samples_so(T_s: Any) -> None:
+    with pytest.raises(InputError, match=r"T_s = .*: must be in \[1e-5, 0\.1\] s"):
+        Timing(T_s=T_s)
 
 
 def test_what_is_known_is_checked_beside_what_is_traced() -> None:
@@ -50,6 +80,12 @@ def test_what_is_known_is_checked_beside_what_is_traced() -> None:
     for values in ({"K2": -1.0}, {"Hp": 3, "Hu": 5}, {"K2": np.ones(2)}):
         with pytest.raises(InputError):
             jax.jit(lambda lam, values=values: built(lam, **values))(0.1)
+
+
+def test_weights_within_the_horizon_of_each_controller_count() -> None:
+    assert np.asarray(Params(delta=BEYOND, Hp=31).delta)[30] == 0.9
+    with pytest.raises(InputError, match=r"delta = 0\.0: must be positive somewhere within Hp \(= 20\)"):
+        Params(delta=BEYOND, Hp=40).with_columns({"Hp": [40, 20]})
 
 
 def test_shapes_and_other_marks_may_stand_for_numbers() -> None:
@@ -71,6 +107,9 @@ def test_shapes_and_other_marks_may_stand_for_numbers() -> None:
         (lambda: Params.stack(Params()), "one Params: must be a list of Params"),
         (lambda: Params.stack([]), "empty: must be a list of Params"),
         (lambda: margins(Params(), []), "stiffness = none: must be at least one"),
+        (lambda: margins(Params(), True), "stiffness = True: must be a number"),
+        (lambda: margins(Params(), "810"), "stiffness = 810: must be a number"),
+        (lambda: margins(BATCH[2:], 810.0), "params = an empty batch: must be at least one controller"),
         (lambda: Params.stack([BATCH, Params.stack([Params()] * 3)]), "must be of one shape"),
     ],
 )

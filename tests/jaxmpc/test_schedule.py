@@ -11,10 +11,10 @@ import pytest
 from jaxmpc import Experiment, Params, design, evaluate, margins
 from jaxmpc.engine.base import scalars
 from jaxmpc.files.errors import InputError
-from jaxmpc.law import cascade, schedule
+from jaxmpc.law import cascade, identification, schedule
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.stiffness import SILENT
-from jaxmpc.stability.family import family_margins
+from jaxmpc.stability.family import family_margins, gains_on
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla import ops
@@ -84,6 +84,19 @@ def test_where_gains_move_the_cascade_goes_on_from_the_command_that_was_applied(
         jumps.append(abs(known.input_gain * moving.u - fed_back - 22.0))
     # Left as it was, the reference would have had one of the two laws ask for something else altogether.
     assert max(jumps) > 50.0
+
+
+@pytest.mark.parametrize("stiffness", [50.0, 280.0, 300.0, 810.0, 2400.0, 2500.0, 9000.0])
+def test_on_any_tissue_the_gains_that_are_judged_are_those_that_fly(gains: Gains, stiffness: float) -> None:
+    """The law holds what it believes within the outer knots and a little."""
+    tissue = cascade.init(gains, -5.0).tissue._replace(log_stiffness=np.log(stiffness), authority=1.0)
+    believed = identification.step(gains.schedule.identification, tissue, -5.0, 0.0, -5.0, 0.0, SILENT, ops)
+    flown, K2 = schedule.at(gains.schedule, believed.log_stiffness, ops)
+    judged, damping = gains_on(FAMILY, [stiffness], Experiment.published("family-wam").loop_path())
+    one = jax.tree.map(lambda leaf: leaf[0], judged)
+    for name in ("phi", "gamma", "K", "L", "input_gain", "mpc_x", "mpc_u"):
+        np.testing.assert_allclose(getattr(one, name), np.asarray(getattr(flown, name)), rtol=1e-9, atol=1e-14)
+    assert damping[0] == pytest.approx(float(K2))
 
 
 def test_without_a_schedule_nothing_is_touched() -> None:

@@ -278,8 +278,16 @@ def test_redundant_scales_cancel() -> None:
 
 
 def test_first_move_of_a_relaxed_column_costs_more() -> None:
+    """A column weighted m counts as one whose move costs λ/m²; the first always counts whole."""
     A, B = closed_loop_model(jnp.float64(3e-3), T_S)
-    lam, delta = jnp.full(HU_MAX, 0.1), jnp.full(HP_MAX, 0.9)
-    hard = first_move(A, B, lam, delta, jnp.float64(20.0), jnp.float64(4.0))[0]
-    soft = first_move(A, B, lam, delta, jnp.float64(20.0), jnp.float64(4.0), 6.0)[0]
-    assert not np.allclose(hard, soft)
+    Hp, Hu, width = 20.0, 4.0, 6.0
+    lam, delta = np.linspace(0.05, 0.2, HU_MAX), np.full(HP_MAX, 0.9)
+    soft = first_move(A, B, jnp.asarray(lam), jnp.asarray(delta), jnp.float64(Hp), jnp.float64(Hu), width)
+    columns, errors = (np.asarray(horizon_mask(jnp.float64(H), n, width)) for H, n in ((Hu, HU_MAX), (Hp, HP_MAX)))
+    there = columns > 0.0
+    assert 2 < np.sum(columns[there] < 1.0) < np.sum(there)
+    whole = int(np.sum(there))
+    expected = brute_force_row(np.asarray(A), np.asarray(B), lam[there] / columns[there] ** 2, delta * errors)
+    assert whole == np.flatnonzero(there)[-1] + 1
+    for ours, theirs in zip(soft, expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-12)

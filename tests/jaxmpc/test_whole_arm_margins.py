@@ -70,6 +70,32 @@ def test_gain_at_the_margin_puts_a_pole_on_the_unit_circle(bandwidth: float) -> 
 
 
 @pytest.mark.oracle
+@pytest.mark.parametrize("bandwidth", [0.0, 60.0])
+def test_lags_and_delays_are_those_of_the_crossovers(bandwidth: float) -> None:
+    """By numpy from the same matrices, where |L| crosses 1; between neighbours logarithm and angle are straight."""
+    loop, margins = system(bandwidth), found(bandwidth)
+    theta = np.geomspace(1e-3, np.pi, 6000)
+    at = np.exp(1j * theta)[:, None, None]
+    seen = np.concatenate(
+        [loop.C @ np.linalg.solve(z * np.eye(len(loop.A)) - loop.A, loop.B + 0j) for z in np.split(at, 60)]
+    )
+    seen = seen + loop.D
+    for cut, name in enumerate(CUTS):
+        for axis in range(3):
+            S = (cut < 2) + seen[:, 3 * cut + axis, 3 * (cut == 2) + axis]
+            L = 1.0 / S - 1.0
+            size = np.log(np.abs(L))
+            first = np.flatnonzero(size[:-1] * size[1:] < 0.0)
+            way = size[first] / (size[first] - size[first + 1])
+            lag = np.mod(np.angle(L[first]) + way * np.angle(L[first + 1] / L[first]) + np.pi, 2.0 * np.pi)
+            where = theta[first] * (theta[first + 1] / theta[first]) ** way
+            told = getattr(margins, name)
+            assert float(told.M_s[axis]) == pytest.approx(np.max(np.abs(S)), rel=1e-4)
+            assert float(told.phase_margin_deg[axis]) == pytest.approx(np.degrees(lag.min()), rel=1e-3)
+            assert float(told.delay_margin_s[axis]) == pytest.approx(T_S * np.min(lag / where), rel=1e-3)
+
+
+@pytest.mark.oracle
 def test_what_an_observer_costs() -> None:
     """On the softest tissue M_s of the text design, 4.3 to 5.2, becomes 5.8 to 7.2; on the hardest it stays."""
     for stiffness, low, high in ((375.0, 1.2, 1.6), (1900.0, 0.97, 1.0)):

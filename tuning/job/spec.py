@@ -17,6 +17,7 @@ from jaxmpc.files.toml import located, read_toml
 from jaxmpc.quantities import MARGINS
 from jaxmpc.stability.family import judged_where
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.sampling import check_sampling
 from tuning.job.axes import axes_of, begun, check_axis, check_horizons
 from tuning.job.goals import GOALS, MEASURED, OVERSHOOT, check_goals
 from tuning.job.implied import implied_goals
@@ -71,6 +72,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             raise InputError("params", f"a batch {self.params.batch_shape}", "one controller", "Give one start point.")
         if not self.free:
             raise InputError("tune.free", "empty", "at least one parameter", f"Free by default: {', '.join(FREE)}.")
+        check_sampling(self.params, self.experiment.sampling_time)
         self._check_knots()
         self._check_arm()
         for key, prefix in (("diagonals", ""), ("tied", KNOTS)):

@@ -13,6 +13,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import digest
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.sampling import check_sampling
 from tuning.job.scenarios import Rhythm, Scenarios, scenario
 
 DURATION, SETTLE = 30.0, 2.0
@@ -85,6 +86,8 @@ class Job:
             raise InputError("physics", self.base.physics, '"wam" for trials', "Take table-1-wam, or set it so.")
         if not 0 <= self.seed < 10**9:
             raise InputError("seed", self.seed, "in [0, 1e9)", "Any other number draws other trials.")
+        for params in self.controllers:
+            check_sampling(params, self.base.sampling_time)
         # Those of the spread are for 1 ms.
         resolving = ceil(self.spread.substeps * max(1.0, self.base.sampling_time / 1e-3) - 1e-9)
         arm = replace(self.base.arm, substeps=max(self.base.arm.substeps, resolving))
