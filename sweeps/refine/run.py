@@ -19,7 +19,7 @@ from jaxmpc.files.sealed import digest
 from sweeps import store
 from sweeps.plan import make_plan
 from sweeps.refine.proposal import around, survivors
-from sweeps.result import AROUND, FULL, RERUN, SCREEN, Result, merged
+from sweeps.result import AROUND, FULL, RERUN, SCREEN, Result, merged, of_stages
 from sweeps.run import run as run_plain
 from sweeps.spec import SweepSpec
 from sweeps.tables import RefineTable
@@ -44,7 +44,8 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
         how: See `sweeps.run.run`.
 
     Returns:
-        The rows of the last stage, `stages` being all of them; incomplete where somebody stopped it.
+        The rows of the last stage, or of all rounds around a front, `stages` being all stages; incomplete where
+        somebody stopped it.
 
     Raises:
         InputError: The folder belongs to something else.
@@ -60,7 +61,7 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
         result = run_plain(leg.spec, folder / "stages" / leg.name, told=told, **how)
         done.append((leg.name, result))
         if not result.complete:
-            return replace(result, stages=tuple(done))
+            return of_stages(done, ended=False)
     store.write_summary(folder, {"stages": {name: result.hash for name, result in done}})
     return Result.load(folder)
 

@@ -5,7 +5,7 @@ from typing import Any
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.terminal import layout
 from sweeps.goal import SweepGoal
-from sweeps.result import Result
+from sweeps.result import AROUND, Result
 from sweeps.show.in_the_way import in_the_way
 
 RESIDUALS = ("rms", "true_rms")
@@ -53,8 +53,11 @@ def rendered(result: Result, n: int, max_M_s: float | None) -> tuple[list[str], 
 
 
 def progress(result: Result) -> str:
-    """How many of its rows are here, in words."""
+    """How many of its rows are here, in words; of a refined sweep those of the stage that is shown."""
     rows = f"{len(result)} of {len(result.plan.rows)} rows"
+    if result.stages:
+        name, _ = result.stages[-1]
+        rows += f" {'up to' if name.endswith(AROUND) else 'of'} stage {name}"
     return rows if result.decided is None else f"{rows}, {result.decided.there}"
 
 

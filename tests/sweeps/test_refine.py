@@ -1,5 +1,7 @@
 """Refined sweeps: fewer steps to the same best row, a front that moves on, the same rows every time."""
 
+import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +17,14 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps.axis import SweepAxis
+from sweeps.chunks import chunk_files
 from sweeps.merging import merge
 from sweeps.plan import make_plan
 from sweeps.refine.proposal import around
 from sweeps.refine.run import run as refine
-from sweeps.result import merged
+from sweeps.result import Result, merged
 from sweeps.run import run
+from sweeps.show.best_rows import progress
 from sweeps.show.report import sweep_report
 from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
@@ -181,3 +185,51 @@ def test_rows_of_one_choice_are_of_one_kind(spec: SweepSpec) -> None:
     plan = make_plan(replace(spec, space=SweepSpace("grid", ((axis,),), 4, 0, spec.space.horizons)))
     _, columns = merge([(plan, {"row": np.arange(4), "architecture": axis.column()})] * 2)
     assert columns["architecture"].tolist() == [0.0, 1.0] * 4
+
+
+def unfinished(tmp_path: Path, spec: SweepSpec, chunks: dict[str, int]) -> tuple[Path, Result]:
+    """A refined sweep in chunks of 10 rows as a kill leaves it: of each stage so many of its first chunks are gone."""
+    folder = tmp_path / spec.refine.method if spec.refine else tmp_path
+    found = refine(spec, folder, chunk=10)
+    assert found.complete
+    (folder / "result.json").unlink()
+    for name, lost in chunks.items():
+        (folder / "stages" / name / "result.json").unlink()
+        for path in chunk_files(folder / "stages" / name)[:lost]:
+            path.unlink()
+    return folder, found
+
+
+def test_a_halving_without_its_last_stage_is_unfinished(
+    tmp_path: Path, command: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, found = unfinished(tmp_path, made(method="halving", stages=[STAGE]), {"1-full": 2})
+    begun = sweeps.load(folder)
+    assert (begun.complete, [name for name, _ in begun.stages]) == (False, ["0-screen"]), "a stage without a row"
+    capsys.readouterr()
+    row = int(begun.best(1)["row"][0])
+    for words in (["best"], ["pareto"], ["row", row], ["sensitivity"]):
+        assert command("sweep", words[0], folder, *words[1:]) == 0
+        assert capsys.readouterr().err == "jaxmpc sweep: unfinished: 100 of 100 rows of stage 0-screen\n"
+    assert command("freeze", folder, "--row", row, "--max-ms", 9) == 0
+    assert "jaxmpc freeze: unfinished sweep: 100 of 100 rows of stage 0-screen\n" in capsys.readouterr().err
+    shutil.rmtree(folder / "stages" / "1-full")
+    assert not sweeps.load(folder).complete
+    again = refine(made(method="halving", stages=[STAGE]), folder)
+    assert (again.hash, again.complete) == (found.hash, True)
+
+
+def test_a_row_around_a_front_has_its_number_from_the_beginning(tmp_path: Path) -> None:
+    spec = made(method="pareto", rounds=2, points=20, seed=5)
+    folder, found = unfinished(tmp_path, spec, {"1-around": 1})
+    begun = sweeps.load(folder)
+    assert not begun.complete
+    assert (len(begun), len(begun.plan.rows)) == (len(found) - 10, len(found))
+    assert progress(begun) == f"{len(found) - 10} of {len(found)} rows up to stage 2-around"
+    assert begun["row"].tolist() == [*range(100), *range(110, len(found))]
+    for name in begun.columns:
+        np.testing.assert_array_equal(begun[name], found[name][begun["row"]], err_msg=name)
+    assert begun.plan.spec_hash == found.plan.spec_hash
+    assert refine(spec, folder).hash == found.hash
+    (folder / "result.json").unlink()
+    assert not sweeps.load(folder).complete, "a round may be missing"
