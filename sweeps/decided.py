@@ -90,21 +90,34 @@ def folder_of(folder: Path, plan: Plan) -> Path:
     return folder / "float64" / plan.spec_hash[:12]
 
 
-def read_decided(folder: Path, plan: Plan, columns: Mapping[str, np.ndarray]) -> tuple[Plan, Columns] | None:
-    """The rows that were run once more so far, and their plan; None where that was not begun.
+def read_decided(
+    folder: Path, plan: Plan, columns: Mapping[str, np.ndarray], *, finished: bool
+) -> tuple[Plan, Columns] | None:
+    """The rows that were run once more so far, and their plan; None where none is to be.
 
     Args:
         folder: The sweep's.
         plan: A sweep.
         columns: All its rows.
+        finished: Whether it came to an end, with these rows or, as sweeps from before did, without any.
     """
-    if not (folder / "float64").is_dir():
+    if finished and not (folder / "float64").is_dir():
         return None
     again = plan_in_float64(plan, columns)
-    if again is None or not folder_of(folder, again).is_dir():
+    if again is None or (finished and not folder_of(folder, again).is_dir()):
         return None
+    return again, read_again(folder, again)
+
+
+def read_again(folder: Path, again: Plan) -> Columns:
+    """Those of the rows that are run once more that are there.
+
+    Args:
+        folder: The sweep's.
+        again: These rows in float64.
+    """
     found, there = chunks.read_chunks(folder_of(folder, again), again)
-    return again, {name: values[there] for name, values in found.items()}
+    return {name: values[there] for name, values in found.items()}
 
 
 def with_decided(

@@ -78,8 +78,9 @@ class Result(SweepRows):
             return of_stages(stages, ended=ended)
         plan = store.read_plan(folder)
         columns, there = chunks.read_chunks(folder, plan)
-        result = Result.of(plan, columns, there, baseline_of(store.read_summary(folder)))
-        found = read_decided(folder, plan, result.columns) if result.complete else None
+        summary = store.read_summary(folder)
+        result = Result.of(plan, columns, there, baseline_of(summary))
+        found = read_decided(folder, plan, result.columns, finished=bool(summary)) if result.complete else None
         if found is None:
             return result
         rows, decided = with_decided(result.columns, *found)

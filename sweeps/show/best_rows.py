@@ -68,7 +68,8 @@ def chance(result: Result, max_M_s: float | None = None) -> list[str]:
         result: The sweep.
         max_M_s: Largest accepted worst-case peak sensitivity [-]; None is the spec's.
     """
-    lines = [] if result.decided is None else [result.decided.sentence(result.goal)]
+    decided = result.decided
+    lines = [decided.sentence(result.goal)] if decided is not None and len(decided.after["row"]) else []
     if left := len(result.undecided(goal_of(result, max_M_s))):
         bound = "`decide` in [sweep] bounds how many run in float64"
         lines.append(f"{left} rows{' more' * len(lines)} have a rank or status that is chance in float32; {bound}")

@@ -1,7 +1,9 @@
 """Refined sweeps: fewer steps to the same best row, a front that moves on, the same rows every time."""
 
+import os
 import shutil
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,13 +20,17 @@ from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps.axis import SweepAxis
 from sweeps.chunks import chunk_files
+from sweeps.crew import Alone, ComputedChunk, Stop
+from sweeps.leases import Leases
 from sweeps.merging import merge
-from sweeps.plan import make_plan
+from sweeps.pace import Pace
+from sweeps.plan import Plan, make_plan
 from sweeps.refine.proposal import around
 from sweeps.refine.run import run as refine
 from sweeps.result import Result, merged
 from sweeps.run import run
-from sweeps.show.best_rows import progress
+from sweeps.share import Share
+from sweeps.show.best_rows import chance, progress
 from sweeps.show.report import sweep_report
 from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
@@ -233,3 +239,33 @@ def test_a_row_around_a_front_has_its_number_from_the_beginning(tmp_path: Path) 
     assert refine(spec, folder).hash == found.hash
     (folder / "result.json").unlink()
     assert not sweeps.load(folder).complete, "a round may be missing"
+
+
+class Interrupted(Alone):
+    """Ctrl-C once a stretch is computed."""
+
+    def work(self, plan: Plan, share: Share, leases: Leases, pace: Pace, stop: Stop) -> Iterator[ComputedChunk]:
+        for piece in super().work(plan, share, leases, pace, stop):
+            if not stop():
+                os.kill(os.getpid(), signal.SIGINT)
+            yield piece
+
+
+def test_ctrl_c_in_the_last_round_of_a_stage_leaves_what_comes_after_it(tmp_path: Path) -> None:
+    refined, folder = made(method="pareto", rounds=1, points=20, seed=5), tmp_path / "run"
+    spec = replace(refined, goal=msgspec.structs.replace(refined.goal, decide=100))
+    lines: list[str] = []
+    stopped = refine(spec, folder, gentle=True, crew=Interrupted, told=lines.append)
+    assert [line.partition(":")[0] for line in lines] == ["0-full"]
+    assert not stopped.complete
+    for result in (stopped, sweeps.load(folder)):
+        ((name, stage),) = result.stages
+        assert (name, len(stage), stage.complete) == ("0-full", 100, False)
+        assert stage.decided is not None
+        assert progress(stage) == f"100 of 100 rows, 0 of {len(stage.decided.plan.rows)} in float64"
+        assert not [line for line in chance(result) if "once more" in line]
+    plain = replace(spec, refine=None, goal=refined.goal)
+    assert run(plain, tmp_path / "plain", gentle=True, crew=Interrupted).complete, "there was nothing left to do"
+    begun = refine(refined, tmp_path / "other", gentle=True, crew=Interrupted)
+    assert ([name for name, _ in begun.stages], begun.complete) == (["0-full"], False)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
