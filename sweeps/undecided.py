@@ -68,7 +68,8 @@ def undecided(plan: Plan, columns: Mapping[str, np.ndarray], goal: SweepGoal | N
         if name in MARGINS:
             hopeless |= ~(found.low <= ceiling)
     value = _interval(columns, goal.best, amplified)
-    may, sure = may & np.isfinite(value.low), sure & np.isfinite(value.high)
+    # As a cost: a margin may be infinitely good, −∞.
+    may, sure = may & (value.low < np.inf), sure & (value.high < np.inf)
     highest = np.sort(value.high[sure])
     reach = highest[TOP - 1] if len(highest) >= TOP else np.inf
     rivals = np.flatnonzero(may & ~untold & (value.low <= reach))

@@ -304,6 +304,16 @@ def test_what_counts_as_undecided(spec: SweepSpec) -> None:
     assert undecided(plan, columns).tolist() == []
 
 
+@pytest.mark.parametrize("reduction", [20.0, np.inf])
+def test_rows_that_are_infinitely_good_are_decided(spec: SweepSpec, reduction: float) -> None:
+    plan = replace(make_plan(spec), goal=SweepGoal("gain_reduction_db", {"chatter": 1.0}))
+    columns = made_up({"rms": [0.02] * 3, "peak_force": [5.0] * 3, "chatter": [1.001, 0.999, 0.5], "M_s": [1.5] * 3})
+    columns |= {"status": np.zeros((3, 1), np.int8), "gain_reduction_db": np.full((3, 1), reduction)}
+    assert sorted(undecided(plan, columns).tolist()) == [0, 1]
+    columns["gain_reduction_db"][:2] = -np.inf  # as of a loop that is lost
+    assert undecided(plan, columns).tolist() == []
+
+
 RAMPS: Any = (
     {"kind": "ramp", "to": -5.0, "rate": 10.0},
     {"kind": "hold", "duration": 1.0},
