@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxmpc.files.sealed import SealError
+from sweeps import store
 from sweeps.chunks import chunk_files, chunk_name, read_chunks
 from sweeps.cluster import worked
 from sweeps.compute import begin
@@ -125,6 +127,24 @@ def failing(at: int, fetched: bool) -> Any:
         return begin(plan, first, last)
 
     return wrong
+
+
+def test_two_processes_may_put_one_damaged_chunk_away(
+    spec: SweepSpec, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    plan = make_plan(spec)
+    store.prepare(tmp_path / "run", plan)
+    path = tmp_path / "run" / "chunks" / "000000000-000000120.npz"
+    path.write_bytes(b"PK")
+
+    def other_first(*given: Any) -> Any:
+        monkeypatch.undo()
+        read_chunks(tmp_path / "run", plan, mend=True)
+        raise SealError("cut short")
+
+    monkeypatch.setattr("sweeps.chunks._read_chunk", other_first)
+    assert not read_chunks(tmp_path / "run", plan, mend=True).there.any()
+    assert [file.name for file in path.parent.iterdir()] == [f"{path.name}.damaged"]
 
 
 @pytest.mark.parametrize("fetched", [False, True])
