@@ -5,7 +5,7 @@
 Which rows these are follows from those in float32 and the goal alone, so the folder resumes and is shared as any other.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from jaxmpc.quantities import METRICS
 from sweeps import chunks
 from sweeps.goal import SweepGoal
 from sweeps.judged import worst
+from sweeps.merging import merge
 from sweeps.plan import Columns, Plan
 from sweeps.undecided import IN_FLOAT64, undecided
 
@@ -54,6 +55,16 @@ class Decided:
         other = int((self.before["status"] != self.after["status"]).any(axis=1).sum())
         rows = f"{len(now)} rows that float32 cannot decide were run once more in float64"
         return f"{rows}: {other} ended otherwise, {goal.best} changed by up to {100.0 * change:.2g} %"
+
+
+def decided_together(parts: Sequence[Decided]) -> Decided:
+    """What float64 says of several sweeps of the same axes, as of one; see `merging.merge`.
+
+    Args:
+        parts: At least one.
+    """
+    plan, after = merge([(part.plan, part.after) for part in parts])
+    return Decided(plan, merge([(part.plan, part.before) for part in parts])[1], after)
 
 
 def plan_in_float64(plan: Plan, columns: Mapping[str, np.ndarray]) -> Plan | None:

@@ -27,7 +27,7 @@ import numpy as np
 from jaxmpc.experiment import Experiment
 from jaxmpc.synthesis.params import Params
 from sweeps import chunks, labelled, store
-from sweeps.decided import Decided, read_decided, with_decided
+from sweeps.decided import Decided, decided_together, read_decided, with_decided
 from sweeps.goal import SweepGoal
 from sweeps.judged import Point, baseline_of
 from sweeps.merging import merge
@@ -179,7 +179,9 @@ def merged(results: Sequence[Result]) -> Result:
     first = results[0]
     if len(results) == 1:
         return first
-    return Result(*merge([(result.plan, result.columns) for result in results]), first.baseline)
+    plan, columns = merge([(result.plan, result.columns) for result in results])
+    decided = [result.decided for result in results if result.decided is not None]
+    return Result(plan, columns, first.baseline, decided=decided_together(decided) if decided else None)
 
 
 def of_stages(stages: Sequence[tuple[str, Result]], *, ended: bool) -> Result:

@@ -71,9 +71,18 @@ def chance(result: Result, max_M_s: float | None = None) -> list[str]:
     decided = result.decided
     lines = [decided.sentence(result.goal)] if decided is not None and len(decided.after["row"]) else []
     if left := len(result.undecided(goal_of(result, max_M_s))):
-        bound = "`decide` in [sweep] bounds how many run in float64"
-        lines.append(f"{left} rows{' more' * len(lines)} have a rank or status that is chance in float32; {bound}")
+        told = f"{left} rows{' more' * len(lines)} have a rank or status that is chance in float32"
+        lines.append(f"{told}; {_remedy(result, max_M_s)}")
     return lines
+
+
+def _remedy(result: Result, max_M_s: float | None) -> str:
+    """What decides the rows that are left to chance."""
+    if result.stages and all(stage.plan is not result.plan for _, stage in result.stages):
+        return 'each round ran in float64 what is chance among its own rows, precision = "float64" in [sweep] runs all'
+    if goal_of(result, max_M_s) != result.goal:
+        return "those that are chance with the spec's own limit run in float64"
+    return "`decide` in [sweep] bounds how many run in float64"
 
 
 def goal_of(result: Result, max_M_s: float | None) -> SweepGoal:

@@ -269,3 +269,23 @@ def test_ctrl_c_in_the_last_round_of_a_stage_leaves_what_comes_after_it(tmp_path
     begun = refine(refined, tmp_path / "other", gentle=True, crew=Interrupted)
     assert ([name for name, _ in begun.stages], begun.complete) == (["0-full"], False)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_rounds_tell_together_what_float64_decided(tmp_path: Path) -> None:
+    refined = made(method="pareto", rounds=1, points=20, seed=5)
+    found = refine(replace(refined, goal=msgspec.structs.replace(refined.goal, decide=100)), tmp_path / "run")
+    parts = [stage.decided for _, stage in found.stages if stage.decided is not None]
+    assert found.decided is not None
+    assert found.complete
+    counts = [len(part.plan.rows) for part in parts]
+    assert (len(found.decided.plan.rows), len(counts)) == (sum(counts), 2)
+    assert len(found.decided.after["row"]) == found["in_float64"].sum()
+    said = chance(found)
+    assert said[0].startswith(f"{sum(counts)} rows that float32 cannot decide were run once more in float64: ")
+    places = found["in_float64"]
+    np.testing.assert_array_equal(found.decided.after["lam"], found["lam"][places])
+    np.testing.assert_array_equal(found.decided.after["rms"], found["rms"][places])
+    assert found.plan.goal.decide == 100
+    undecided = replace(found, columns={**found.columns, "in_float64": np.zeros(len(found), bool)})
+    assert "each round ran in float64" in chance(undecided)[1]
+    assert "`decide` in [sweep] bounds" in chance(replace(undecided, stages=()))[1]
