@@ -97,7 +97,7 @@ def _chosen(args: argparse.Namespace) -> "tuple[Params, Experiment]":
 
     result = Result.load(folder)
     place = result.place(args.row)
+    met = experiment_from(args.experiment) if args.experiment else result.experiment(place)
     if not result.complete:
         print(f"jaxmpc freeze: unfinished sweep: {progress(result)}", file=sys.stderr)
-    met = experiment_from(args.experiment) if args.experiment else result.experiment(place)
     return result.controller(place), met

@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 import sweeps
 from jaxmpc import evaluate
 from jaxmpc.cli import main
+from jaxmpc.cli.freeze import _chosen
 from jaxmpc.files.errors import InputError
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
@@ -217,8 +219,9 @@ def test_a_halving_without_its_last_stage_is_unfinished(
     for words in (["best"], ["pareto"], ["row", row], ["sensitivity"]):
         assert command("sweep", words[0], folder, *words[1:]) == 0
         assert capsys.readouterr().err == "jaxmpc sweep: unfinished: 100 of 100 rows of stage 0-screen\n"
-    assert command("freeze", folder, "--row", row, "--max-ms", 9) == 0
-    assert "jaxmpc freeze: unfinished sweep: 100 of 100 rows of stage 0-screen\n" in capsys.readouterr().err
+    chosen, _ = _chosen(Namespace(params=folder, row=row, experiment=None))
+    assert chosen.to_dict() == begun.controller(begun.place(row)).to_dict()
+    assert capsys.readouterr().err == "jaxmpc freeze: unfinished sweep: 100 of 100 rows of stage 0-screen\n"
     shutil.rmtree(folder / "stages" / "1-full")
     assert not sweeps.load(folder).complete
     again = refine(made(method="halving", stages=[STAGE]), folder)
