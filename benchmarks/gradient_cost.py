@@ -6,6 +6,7 @@ The floor of reverse mode with one checkpoint per step is four simulations: forw
 counts two. Design and margins come on top of both and are in all figures.
 """
 
+import argparse
 import time
 from collections.abc import Callable
 from functools import partial
@@ -74,6 +75,7 @@ def forward(problem: Problem, z: np.ndarray) -> Callable[[], Any]:
 
 def main() -> None:
     """Measure and print."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     use_all_cores()
     times = {}
     for name, diagonals in (("scalars", []), ("diagonals", ["lam", "delta"])):

@@ -14,10 +14,13 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from benchmarks.sweep_throughput import machine
 from jaxmpc.terminal.process import use_all_cores
+
+if TYPE_CHECKING:
+    from sweeps.spec import SweepSpec
 
 ROWS, SECONDS, WORKERS, CORES = 100_000, 4.0, 2, 2
 
@@ -53,6 +56,27 @@ def taken(work: Callable[[], Any]) -> Spent:
     return Spent.now().plus(began, -1)
 
 
+def job(rows: int, seconds: float) -> "SweepSpec":
+    """Random controllers on the linear loop, of which the last quarter of an episode is scored."""
+    from sweeps.spec import SweepSpec
+
+    # Of 4 s this is `table-1`'s own.
+    ramp = {"kind": "ramp", "to": -5.0, "rate": 8.0 / seconds}
+    lengths = {"duration": seconds, "settle": 0.75 * seconds, "reference": {"z": [ramp]}}
+    return SweepSpec.from_dict(
+        {
+            "experiment": {"published": "table-1", **lengths},
+            "params": {"published": "text"},
+            "sweep": {
+                "kind": "random",
+                "rows": rows,
+                "seed": 1,
+                "axes": {"lam": {"log": [0.01, 1.0]}, "T_cl": {"log": [0.001, 0.01]}, "Q_p": {"log": [0.1, 1.0]}},
+            },
+        }
+    )
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -62,20 +86,8 @@ def main() -> None:
     use_all_cores(CORES)
     from sweeps.cluster import DaskCrew
     from sweeps.run import run
-    from sweeps.spec import SweepSpec
 
-    spec = SweepSpec.from_dict(
-        {
-            "experiment": {"published": "table-1", "duration": args.seconds, "settle": 3.0},
-            "params": {"published": "text"},
-            "sweep": {
-                "kind": "random",
-                "rows": args.rows,
-                "seed": 1,
-                "axes": {"lam": {"log": [0.01, 1.0]}, "T_cl": {"log": [0.001, 0.01]}, "Q_p": {"log": [0.1, 1.0]}},
-            },
-        }
-    )
+    spec = job(args.rows, args.seconds)
     halves = bare(spec)
     start = Spent.now()
     print(f"{machine()}, of which {CORES} are used; {args.rows} rows, linear loop, {args.seconds:g} s", flush=True)

@@ -7,6 +7,7 @@ no harm: whoever does it writes the same rows, and every write is atomic.
 import logging
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,7 +58,8 @@ def read_chunks(folder: Path, plan: Plan, *, known: StoredChunks | None = None, 
             fate = "is computed again" if mend else "is left out, until the sweep is run again"
             log.warning("%s %s: %s", path.name, fate, error)
             if mend:
-                os.replace(path, path.with_name(path.name + DAMAGED))
+                with suppress(FileNotFoundError):  # another process was faster
+                    os.replace(path, path.with_name(path.name + DAMAGED))
             continue
         found.add(first, last, arrays)
     return found

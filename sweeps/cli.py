@@ -193,9 +193,14 @@ def _run(
     if result.complete:
         print(f"result {result.hash}\nnext: jaxmpc sweep report {folder}")
         return 0
-    where, plan = folder if not result.stages else folder / "stages" / result.stages[-1][0], result.plan
-    if result.decided is not None:
-        where, plan = folder_of(where, result.decided.plan), result.decided.plan
+    where, stopped = folder, result
+    if result.stages:
+        name, stopped = result.stages[-1]
+        where = folder / "stages" / name
+    plan = stopped.plan
+    if stopped.decided is not None:
+        plan = stopped.decided.plan
+        where = folder_of(where, plan)
     if aside := given_up(where):
         for (first, last), reason in aside.items():
             rows = f"{plan.rows[first]} … {plan.rows[last - 1]}"

@@ -8,7 +8,7 @@ from typing import Any
 
 from jaxmpc.files.errors import InputError
 from sweeps.blocks import padded
-from sweeps.crew import ComputedChunk, Crew, RowsFailedError, Stop, joined, rounds
+from sweeps.crew import ComputedChunk, Crew, Round, Stop, gathered, rounds
 from sweeps.leases import Leases, Stretch
 from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan
@@ -35,8 +35,10 @@ _SETTINGS = {
 _SECURE = ("tcp://", "tls://", "ucx://", "ws://", "wss://")
 
 
-def worked(plan: Plan, first: int, last: int, cores: int | None) -> tuple[Columns, dict[str, str], int, float]:
-    """A worker's side: columns, its environment, the rows that it ran, and how long that took [s].
+def worked(
+    plan: Plan, first: int, last: int, cores: int | None
+) -> tuple[list[ComputedChunk], dict[str, str], int, float]:
+    """A worker's side: a chunk, in pieces where a round failed, its environment, rows that it ran, and how long [s].
 
     Its first round of a sweep is none of these: it has compiled as well.
 
@@ -53,17 +55,18 @@ def worked(plan: Plan, first: int, last: int, cores: int | None) -> tuple[Column
     from sweeps.machine import environment
 
     devices, began = jax.local_device_count(), time.perf_counter()
-    parts: list[Columns] = []
-    rows, seconds = 0, 0.0
+    made: list[Round] = []
+    done, rows, seconds = first, 0, 0.0
     # Round by round: a chunk at once would be a program of its own for each length that a chunk may have.
-    for end, columns in rounds(plan, (first, last), lambda: False):
+    for each in rounds(plan, (first, last), lambda: False):
         now = time.perf_counter()
-        if plan.spec_hash in _compiled:
-            rows, seconds = rows + padded(plan, devices, first, end), seconds + now - began
-        _compiled.add(plan.spec_hash)
-        parts.append(columns)
-        first, began = end, now
-    return joined(parts), environment(engine_of(plan)), rows, seconds
+        if each.columns is not None:
+            if plan.spec_hash in _compiled:
+                rows, seconds = rows + padded(plan, devices, done, each.end), seconds + now - began
+            _compiled.add(plan.spec_hash)
+        made.append(each)
+        done, began = each.end, now
+    return [*gathered((first, last), made, last - first)], environment(engine_of(plan)), rows, seconds
 
 
 _compiled: set[str] = set()
@@ -142,7 +145,7 @@ class DaskCrew(Crew):
                     continue
                 with suppress(queue.Empty):
                     future = self._landed.get(timeout=PATIENCE)
-                    yield self._chunk(future, flying.pop(future), pace)
+                    yield from self._pieces(future, flying.pop(future), pace)
         finally:
             self._client.cancel(list(flying))
             for stretch in flying.values():
@@ -167,17 +170,19 @@ class DaskCrew(Crew):
             self._local.scale(self._wanted)
         return max(found, 1)
 
-    def _chunk(self, future: Any, stretch: Stretch, pace: Pace) -> ComputedChunk:
+    def _pieces(self, future: Any, stretch: Stretch, pace: Pace) -> Iterator[ComputedChunk]:
         try:
-            columns, environment, rows, seconds = future.result()
+            pieces, environment, rows, seconds = future.result()
         # Of any type: whatever is wrong with these rows, the others are still wanted.
         except Exception as reason:
-            said = f"{reason}" if isinstance(reason, RowsFailedError) else f"{type(reason).__name__}: {reason}"
-            return ComputedChunk(stretch, *stretch, None, said)
+            yield ComputedChunk(stretch, *stretch, None, f"{type(reason).__name__}: {reason}")
+            return
         if rows:
             pace.tell(rows, seconds)
-        self._told(columns)
-        return ComputedChunk(stretch, *stretch, columns, environment=environment)
+        for piece in pieces:
+            if piece.columns is not None:
+                self._told(piece.columns)
+            yield piece._replace(environment=environment)
 
 
 def check_installed() -> None:

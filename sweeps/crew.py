@@ -3,7 +3,8 @@
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +22,15 @@ AHEAD = 2
 Stop = Callable[[], bool]
 
 
-class RowsFailedError(RuntimeError):
-    """Rows could not be computed; the message says why."""
+class Round(NamedTuple):
+    """What was made of rows that are computed side by side."""
+
+    end: int
+    """Place behind the last of them."""
+    columns: Columns | None
+    """None where they could not be computed."""
+    error: str = ""
+    """Why not."""
 
 
 class ComputedChunk(NamedTuple):
@@ -35,7 +43,7 @@ class ComputedChunk(NamedTuple):
     last: int
     """Place behind the last row that was computed: before the end of the stretch where somebody wanted to stop."""
     columns: Columns | None
-    """None where nothing could be computed, from the first row to the end of the stretch."""
+    """None where they could not be computed."""
     error: str = ""
     """Why not."""
     environment: Mapping[str, str] | None = None
@@ -93,51 +101,84 @@ class Alone(Crew):
         """Files of a stretch, one after another."""
         import jax
 
-        devices, length = jax.local_device_count(), pace.length
-        parts: list[Columns] = []
-        first = done = stretch[0]
-        began, before = time.perf_counter(), so_far()
+        devices = jax.local_device_count()
 
-        def chunk(ends: bool) -> ComputedChunk:
-            return ComputedChunk(stretch, first, done, joined(parts), ends=ends)
-
-        try:
-            for end, columns in rounds(plan, stretch, stop):
+        def timed() -> Iterator[Round]:
+            done, began, before = stretch[0], time.perf_counter(), so_far()
+            for made in rounds(plan, stretch, stop):
                 now, heard = time.perf_counter(), so_far()
-                pace.tell(padded(plan, devices, done, end), now - began, heard.since(before))
-                done, began, before = end, now, heard
-                leases.warm = True
-                self._told(columns)
-                parts.append(columns)
-                if done - first >= length and done < stretch[1]:
-                    # There is more: one round is always ahead, even where somebody wants to stop.
-                    yield chunk(ends=False)
-                    first, parts = done, []
-        except RowsFailedError as error:
-            yield ComputedChunk(stretch, first, stretch[1], None, f"{error}")
-            return
-        yield chunk(ends=True)
+                if made.columns is not None:
+                    pace.tell(padded(plan, devices, done, made.end), now - began, heard.since(before))
+                    leases.warm = True
+                    self._told(made.columns)
+                done, began, before = made.end, now, heard
+                yield made
+
+        return gathered(stretch, timed(), pace.length)
 
 
-def rounds(plan: Plan, stretch: Stretch, stop: Stop) -> Iterator[tuple[int, Columns]]:
-    """Rounds of a stretch: the place behind each, and its columns. Devices work on one ahead of what is asked for.
+def gathered(stretch: Stretch, made: Iterable[Round], length: int) -> Iterator[ComputedChunk]:
+    """Rounds of a stretch as files, one after another; each that failed stands alone.
 
-    Raises:
-        RowsFailedError: The message says of what.
+    Args:
+        stretch: As it was taken.
+        made: Its rounds, one at least; wherever they end, one is always ahead.
+        length: Rows from which on a file is full.
     """
+    parts: list[Columns] = []
+    failed: ComputedChunk | None = None
+    first = done = stretch[0]
+
+    def chunk(ends: bool) -> ComputedChunk:
+        return ComputedChunk(stretch, first, done, joined(parts), ends=ends)
+
+    for end, columns, error in made:
+        if failed is not None:
+            yield failed._replace(ends=False)
+            failed = None
+        if columns is None:
+            if parts:
+                yield chunk(ends=False)
+            failed, parts = ComputedChunk(stretch, done, end, None, error), []
+            first = done = end
+            continue
+        parts.append(columns)
+        done = end
+        if done - first >= length and done < stretch[1]:
+            # There is more: one round is always ahead, even where somebody wants to stop.
+            yield chunk(ends=False)
+            first, parts = done, []
+    yield chunk(ends=True) if failed is None else failed
+
+
+def rounds(plan: Plan, stretch: Stretch, stop: Stop) -> Iterator[Round]:
+    """Rounds of a stretch; one that fails costs no other. Devices work on one ahead of what is asked for."""
     width, (first, last) = round_of(plan), stretch
     begun: deque[tuple[int, Callable[[], Columns]]] = deque()
+    while begun or first < last:
+        if first < last and len(begun) < AHEAD:
+            end = min(first + width, last)
+            begun.append((end, _begun(plan, first, end)))
+            first = end
+            continue
+        end, finish = begun.popleft()
+        try:
+            found = Round(end, finish())
+        # Of any type: whatever is wrong with these rows, the others are still wanted.
+        except Exception as reason:
+            found = Round(end, None, f"{type(reason).__name__}: {reason}")
+        yield found
+        if stop():
+            last = first
+
+
+def _begun(plan: Plan, first: int, last: int) -> Callable[[], Columns]:
+    """As `begin`; what that raises is raised once the columns are asked for, in the order of the rounds."""
     try:
-        while begun or first < last:
-            if first < last and len(begun) < AHEAD:
-                end = min(first + width, last)
-                begun.append((end, begin(plan, first, end)))
-                first = end
-                continue
-            end, finish = begun.popleft()
-            yield end, finish()
-            if stop():
-                last = first
-    # Of any type: whatever is wrong with these rows, the others are still wanted.
+        return begin(plan, first, last)
     except Exception as reason:
-        raise RowsFailedError(f"{type(reason).__name__}: {reason}") from reason
+        return partial(_raised, reason)
+
+
+def _raised(reason: Exception) -> Columns:
+    raise reason

@@ -5,7 +5,7 @@
 Which rows these are follows from those in float32 and the goal alone, so the folder resumes and is shared as any other.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from jaxmpc.quantities import METRICS
 from sweeps import chunks
 from sweeps.goal import SweepGoal
 from sweeps.judged import worst
+from sweeps.merging import merge
 from sweeps.plan import Columns, Plan
 from sweeps.undecided import IN_FLOAT64, undecided
 
@@ -56,6 +57,16 @@ class Decided:
         return f"{rows}: {other} ended otherwise, {goal.best} changed by up to {100.0 * change:.2g} %"
 
 
+def decided_together(parts: Sequence[Decided]) -> Decided:
+    """What float64 says of several sweeps of the same axes, as of one; see `merging.merge`.
+
+    Args:
+        parts: At least one.
+    """
+    plan, after = merge([(part.plan, part.after) for part in parts])
+    return Decided(plan, merge([(part.plan, part.before) for part in parts])[1], after)
+
+
 def plan_in_float64(plan: Plan, columns: Mapping[str, np.ndarray]) -> Plan | None:
     """The rows that are run once more; None where there is nothing to decide.
 
@@ -90,21 +101,34 @@ def folder_of(folder: Path, plan: Plan) -> Path:
     return folder / "float64" / plan.spec_hash[:12]
 
 
-def read_decided(folder: Path, plan: Plan, columns: Mapping[str, np.ndarray]) -> tuple[Plan, Columns] | None:
-    """The rows that were run once more so far, and their plan; None where that was not begun.
+def read_decided(
+    folder: Path, plan: Plan, columns: Mapping[str, np.ndarray], *, finished: bool
+) -> tuple[Plan, Columns] | None:
+    """The rows that were run once more so far, and their plan; None where none is to be.
 
     Args:
         folder: The sweep's.
         plan: A sweep.
         columns: All its rows.
+        finished: Whether it came to an end, with these rows or, as sweeps from before did, without any.
     """
-    if not (folder / "float64").is_dir():
+    if finished and not (folder / "float64").is_dir():
         return None
     again = plan_in_float64(plan, columns)
-    if again is None or not folder_of(folder, again).is_dir():
+    if again is None or (finished and not folder_of(folder, again).is_dir()):
         return None
+    return again, read_again(folder, again)
+
+
+def read_again(folder: Path, again: Plan) -> Columns:
+    """Those of the rows that are run once more that are there.
+
+    Args:
+        folder: The sweep's.
+        again: These rows in float64.
+    """
     found, there = chunks.read_chunks(folder_of(folder, again), again)
-    return again, {name: values[there] for name, values in found.items()}
+    return {name: values[there] for name, values in found.items()}
 
 
 def with_decided(

@@ -22,9 +22,9 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
         spec: What is swept.
         plan: The same, resolved.
         cores: How many compute.
-        measure: Whether to compute the first rows to find out how fast they are.
+        measure: Whether to compute the first rows to find out how fast they are, if all are alike.
     """
-    if measure:
+    if measure and not rates.uneven(plan):
         _measured(plan, cores)
     rows, compiled, experiment = len(plan.rows), programs(plan), plan.canonical["experiment"]
     there = devices(cores)
@@ -38,9 +38,11 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
         f"  compiles    {_counted(compiled, 'program')}",
         f"  disk        {rows * plan.row_bytes / 1e6:.1f} MB",
         f"  memory      {memory / 1e6 + PROCESS_MB:.0f} MB",
-        f"  axis-steps  {rows * len(plan.stiffness) * 3 * spec.experiment.steps:.3g}",
+        f"  axis-steps  {rows * 3 * rates.samples_of(plan):.3g}",
     ]
-    if took is None:
+    if took is None and rates.uneven(plan):
+        lines.append("  time        unknown: an axis changes what a row costs")
+    elif took is None:
         lines.append("  time        unknown: nothing like it has been run on this machine; --measure finds out")
     else:
         start = "start, compiled before" if took.remembered else "compile"

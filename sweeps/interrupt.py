@@ -8,9 +8,19 @@ from contextlib import contextmanager
 from types import FrameType
 
 
+class _Wish(threading.Event):
+    """Set by the first signal that it handles."""
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if self.is_set():
+            raise KeyboardInterrupt
+        self.set()
+        sys.stderr.write("\nfinishing the round in work, which is kept; once more stops at once\n")
+
+
 @contextmanager
 def gently(enabled: bool = True) -> Iterator[Callable[[], bool]]:
-    """Turn Ctrl-C and the terminate signal of a queue into a wish.
+    """Turn Ctrl-C and the terminate signal of a queue into a wish, which inner ones share: it lasts to the outer's end.
 
     Args:
         enabled: False leaves signals as they are; so does a thread that is not the main one.
@@ -18,20 +28,16 @@ def gently(enabled: bool = True) -> Iterator[Callable[[], bool]]:
     Yields:
         Whether somebody wants to stop.
     """
-    wished = threading.Event()
+    wish = _Wish()
     if not enabled or threading.current_thread() is not threading.main_thread():
-        yield wished.is_set
+        yield wish.is_set
         return
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        if wished.is_set():
-            raise KeyboardInterrupt
-        wished.set()
-        sys.stderr.write("\nfinishing the round in work, which is kept; once more stops at once\n")
-
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    if isinstance(outer := signal.getsignal(signal.SIGINT), _Wish):
+        yield outer.is_set
+        return
+    before = {number: signal.signal(number, wish) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield wished.is_set
+        yield wish.is_set
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -109,7 +109,7 @@ class SweepRows:
         return self.take(self.ranked(goal)[:n])
 
     def pareto(self, *goals: str, feasible: bool = False) -> Self:
-        """The rows that no other beats in every goal at once, ordered by the last goal.
+        """The rows, OK at every stiffness, that no other such beats in every goal at once, ordered by the last goal.
 
         Args:
             goals: Metrics and margins, each at its worst; by default the residual and M_s.
@@ -120,7 +120,7 @@ class SweepRows:
         """
         names = goals or ("rms", "M_s")
         table = np.stack([self.worst(name) * (1.0 if MEASURED[name].ceiling else -1.0) for name in names], axis=1)
-        places = np.flatnonzero((table < np.inf).all(axis=1) & (self.feasible if feasible else True))
+        places = np.flatnonzero((table < np.inf).all(axis=1) & (self.feasible if feasible else self.ok))
         places = places[front(table[places])]
         return self.take(places[np.lexsort(table[places].T)])
 

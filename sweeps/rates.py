@@ -3,18 +3,25 @@
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from jaxmpc.files.foreign import table_if_any
 from jaxmpc.files.sealed import write_atomic
 from sweeps.blocks import block_of, in_pairs, padded, shares_signals
 from sweeps.engines import Devices, engine_of
+from sweeps.met import samples_met
 from sweeps.pace import Pace
 from sweeps.plan import Plan
 
+LENGTHS = ("duration", "sampling_time")
+"""Axes along which rows differ in their samples."""
+COSTS = ("physics", "arm.substeps", "arm.integrator")
+"""Axes along which samples differ in what they cost."""
 FOREIGN = 4.0
 """An estimate from runs whose length differs by more than this factor is said to be one."""
 
@@ -46,13 +53,13 @@ def kept_in() -> Path:
 
 
 def record(plan: Plan, pace: Pace, devices: Devices, where: Path | None = None) -> None:
-    """Note how long rows took; a cache that cannot be written costs the next estimate, nothing more."""
-    if not pace.rows:
+    """Note how long rows took, if all cost the same; a cache that cannot be written costs an estimate, nothing more."""
+    if not pace.rows or uneven(plan):
         return
     path = where or kept_in()
     per_row = pace.seconds / pace.rows
     table = table_if_any(path)
-    kind, samples = kind_of(plan, devices), str(_samples(plan))
+    kind, samples = kind_of(plan, devices), f"{samples_of(plan):.0f}"
     before = _known(table, kind).get(samples)
     start_s, compile_s = (
         max(pace.first_s - per_row * block_of(plan) * devices.number - pace.compiling.spent, 0.0),
@@ -70,7 +77,7 @@ def record(plan: Plan, pace: Pace, devices: Devices, where: Path | None = None) 
 def estimate(
     plan: Plan, devices: Devices, missing: int | None = None, where: Path | None = None
 ) -> CostEstimate | None:
-    """What a sweep will take on this machine; None where nothing like it has been run.
+    """What a sweep will take on this machine; None where nothing like it has been run, or samples differ in cost.
 
     Args:
         plan: What is swept.
@@ -81,9 +88,9 @@ def estimate(
     import jax
 
     known = _known(table_if_any(where or kept_in()), kind_of(plan, devices))
-    if not known:
+    if not known or _swept(plan, COSTS):
         return None
-    samples = _samples(plan)
+    samples = samples_of(plan)
     nearest = min(known, key=lambda name: abs(math.log(int(name) / samples)))
     per_row, start_s, compile_s = known[nearest]
     config: Any = jax.config
@@ -125,8 +132,17 @@ def kind_of(plan: Plan, devices: Devices) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _samples(plan: Plan) -> int:
-    """Samples of a row, over all tissues."""
-    experiment = plan.canonical["experiment"]
-    steps = round(float(experiment["duration"]) / float(experiment["sampling_time"]))
-    return max(1, steps) * len(plan.stiffness)
+def samples_of(plan: Plan) -> float:
+    """Samples of a row, over all tissues; their mean where rows differ."""
+    if not _swept(plan, LENGTHS):
+        return float(samples_met(plan, {"row": plan.rows[:1]})[0])
+    return float(np.mean(samples_met(plan, {"row": plan.rows, **plan.space.columns(plan.rows)})))
+
+
+def uneven(plan: Plan) -> bool:
+    """Whether rows cost more than others, so that how long some took tells nothing of another sweep."""
+    return _swept(plan, (*LENGTHS, *COSTS))
+
+
+def _swept(plan: Plan, names: Collection[str]) -> bool:
+    return any(axis.name in names for axis in plan.space.axes)

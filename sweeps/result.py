@@ -27,7 +27,7 @@ import numpy as np
 from jaxmpc.experiment import Experiment
 from jaxmpc.synthesis.params import Params
 from sweeps import chunks, labelled, store
-from sweeps.decided import Decided, read_decided, with_decided
+from sweeps.decided import Decided, decided_together, read_decided, with_decided
 from sweeps.goal import SweepGoal
 from sweeps.judged import Point, baseline_of
 from sweeps.merging import merge
@@ -52,15 +52,17 @@ class Result(SweepRows):
         baseline: The base controller on the base experiment, once the sweep is finished.
         stages: Of a refined sweep: each stage's name and rows, in order.
         decided: What the rows that ran once more in float64 were in float32; None where none did.
+        every_stage: Whether no stage of a refined sweep is missing or unfinished; True of any other.
     """
 
     baseline: Point | None = None
     stages: tuple[tuple[str, "Result"], ...] = field(default=(), compare=False, repr=False)
     decided: Decided | None = field(default=None, compare=False, repr=False)
+    every_stage: bool = field(default=True, compare=False, repr=False)
 
     @staticmethod
     def load(folder: str | Path) -> "Result":
-        """The rows that a sweep's folder holds so far; those of its last stage, where it was refined.
+        """The rows that a sweep's folder holds so far; those of its last stage that has some, where it was refined.
 
         Raises:
             InputError: The folder is no sweep's.
@@ -68,11 +70,17 @@ class Result(SweepRows):
         folder = Path(folder)
         stages = [(path.name, Result.load(path)) for path in store.stage_folders(folder)]
         if stages:
-            return replace(_last(stages), stages=tuple(stages))
+            if len(stages) > 1 and not len(stages[-1][1]):
+                # Only just begun: there is nothing to show.
+                stages.pop()
+            listed = store.read_summary(folder).get("stages")
+            ended = isinstance(listed, dict) and listed.keys() == {name for name, _ in stages}
+            return of_stages(stages, ended=ended)
         plan = store.read_plan(folder)
         columns, there = chunks.read_chunks(folder, plan)
-        result = Result.of(plan, columns, there, baseline_of(store.read_summary(folder)))
-        found = read_decided(folder, plan, result.columns) if result.complete else None
+        summary = store.read_summary(folder)
+        result = Result.of(plan, columns, there, baseline_of(summary))
+        found = read_decided(folder, plan, result.columns, finished=bool(summary)) if result.complete else None
         if found is None:
             return result
         rows, decided = with_decided(result.columns, *found)
@@ -100,14 +108,17 @@ class Result(SweepRows):
 
     @property
     def complete(self) -> bool:
-        """Whether every planned row is here, and every one that was to run once more in float64."""
-        return len(self) == len(self.plan.rows) and (self.decided is None or self.decided.complete)
+        """Whether every planned row is here, every one that was to run once more in float64, and every stage."""
+        decided = self.decided is None or self.decided.complete
+        return self.every_stage and decided and len(self) == len(self.plan.rows)
 
     @cached_property
     def explored(self) -> "Result":
         """All rows of a refined sweep before the best were run once more; of any other this very result."""
         before = [stage for stage in self.stages if not stage[0].endswith(RERUN)]
-        return self if len(before) == len(self.stages) else replace(_last(before), stages=self.stages)
+        if len(before) == len(self.stages):
+            return self
+        return replace(_last(before), stages=self.stages, every_stage=self.every_stage)
 
     @cached_property
     def hash(self) -> str:
@@ -160,7 +171,7 @@ class Result(SweepRows):
 
 
 def merged(results: Sequence[Result]) -> Result:
-    """Rows of several sweeps of the same axes as one, whose rows are numbered anew; one alone stays as it is.
+    """Rows of several sweeps of the same axes as one, numbered as `merge` does; one alone stays as it is.
 
     Args:
         results: At least one.
@@ -168,7 +179,20 @@ def merged(results: Sequence[Result]) -> Result:
     first = results[0]
     if len(results) == 1:
         return first
-    return Result(*merge([(result.plan, result.columns) for result in results]), first.baseline)
+    plan, columns = merge([(result.plan, result.columns) for result in results])
+    decided = [result.decided for result in results if result.decided is not None]
+    return Result(plan, columns, first.baseline, decided=decided_together(decided) if decided else None)
+
+
+def of_stages(stages: Sequence[tuple[str, Result]], *, ended: bool) -> Result:
+    """What stages of a refined sweep have led to.
+
+    Args:
+        stages: At least one, in order: its name and rows.
+        ended: Whether no other comes.
+    """
+    whole = ended and all(stage.complete for _, stage in stages)
+    return replace(_last(stages), stages=tuple(stages), every_stage=whole)
 
 
 def _last(stages: Sequence[tuple[str, Result]]) -> Result:

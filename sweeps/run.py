@@ -18,7 +18,7 @@ from sweeps import chunks, store
 from sweeps.chunks import StoredChunks
 from sweeps.compute import baseline, compiles_long, round_of
 from sweeps.crew import Alone, ComputedChunk, Crew
-from sweeps.decided import folder_of, likely_in_float64, plan_in_float64, with_decided
+from sweeps.decided import folder_of, likely_in_float64, plan_in_float64, read_again, with_decided
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.interrupt import gently
 from sweeps.judged import Point, baseline_of, keeps, worst
@@ -86,7 +86,7 @@ def run(
     if chunk is not None:
         check_chunk(plan, chunk)
 
-    def computed(plan: Plan, folder: Path, chunk: int | None) -> Result:
+    def computed(plan: Plan, folder: Path, chunk: int | None, stop: Callable[[], bool]) -> Result:
         store.prepare(folder, plan)
         found = chunks.read_chunks(folder, plan, mend=True)
         leases = Leases(folder, silence)
@@ -94,7 +94,7 @@ def run(
             if retry:
                 leases.retry()
             share = Share(folder, plan, found.there, leases, part)
-            with progress_of("sweep", len(found.there), enabled=progress) as tick, gently(gentle) as stop:
+            with progress_of("sweep", len(found.there), enabled=progress) as tick:
                 count = _Count(tick, plan.goal, share)
                 pace = Pace(chunk, round_of(plan), plan.largest_chunk)
 
@@ -119,22 +119,27 @@ def run(
         # What this process has written it need not read.
         return Result.of(plan, *chunks.read_chunks(folder, plan, known=found))
 
-    with Beside(1) as beside:
-        if (ahead := _worth_readying(plan, folder, crew)) is not None:
-            beside.submit(_readied, ahead, started)
-        try:
-            result = computed(plan, folder, chunk)
-        finally:
-            started.set()  # where no row was missing nobody has
-    if not result.complete:
-        return result
-    if (again := plan_in_float64(plan, result.columns)) is not None:
-        told(f"float64: {len(again.rows)} rows that float32 cannot decide, once more")
-        # What fits a file in float32 may not in float64.
-        found = computed(again, folder_of(folder, again), chunk and min(chunk, again.largest_chunk))
-        columns, decided = with_decided(result.columns, again, found.columns)
-        result = replace(result, columns=columns, decided=decided)
-    return _finished(folder, result) if result.complete else result
+    with gently(gentle) as stop:
+        with Beside(1) as beside:
+            if (ahead := _worth_readying(plan, folder, crew)) is not None:
+                beside.submit(_readied, ahead, started)
+            try:
+                result = computed(plan, folder, chunk, stop)
+            finally:
+                started.set()  # where no row was missing nobody has
+        if not result.complete:
+            return result
+        if (again := plan_in_float64(plan, result.columns)) is not None:
+            if stop():
+                found = read_again(folder, again)
+            else:
+                told(f"float64: {len(again.rows)} rows that float32 cannot decide, once more")
+                # What fits a file in float32 may not in float64.
+                most = chunk and min(chunk, again.largest_chunk)
+                found = dict(computed(again, folder_of(folder, again), most, stop).columns)
+            columns, decided = with_decided(result.columns, again, found)
+            result = replace(result, columns=columns, decided=decided)
+        return _finished(folder, result) if result.complete else result
 
 
 def _worth_readying(plan: Plan, folder: Path, crew: MakeCrew) -> Plan | None:

@@ -42,7 +42,7 @@ def sensitivity(result: Result, name: str) -> dict[str, Influence]:
     score = np.full(len(values), np.nan)
     score[finite] = np.log(values[finite]) if logarithmic else values[finite]
     low, high = float(score[finite].min()), float(score[finite].max())
-    away = np.log(2.0) if logarithmic else high - low
+    away = np.log(2.0) if logarithmic else (high - low) or 1.0
     # What is no number is as bad as can be; a margin may be infinitely good.
     above = np.isposinf(values) | (np.isnan(values) & MEASURED[name].ceiling)
     score = np.where(finite, score, np.where(above, high + away, low - away))

@@ -2,9 +2,9 @@
 
 With a quantiser two programs part at the first count that is rounded the other way, and go through other samples of the
 same noise. A row's value is then known to `Metric.float32_error`; times M_s / 3 where a loop is nearly unstable and
-amplifies what it meets, and times √(4 s / T) where the scored time T is shorter and averages less. Design and margins
-are of float64, and certain. Where a torque limit acts nothing is known: the arm may be thrown off in one program and
-not in the other.
+amplifies what it meets, and times √(4 s / T) where the scored time T, of the axis with the least, is shorter and
+averages less. Design and margins are of float64, and certain. Where a torque limit acts nothing is known: the arm may
+be thrown off in one program and not in the other.
 """
 
 from collections.abc import Mapping
@@ -17,6 +17,7 @@ from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.judged import worst, worst_of_rows
+from sweeps.met import met, scored_time
 from sweeps.plan import Plan
 
 TOP = 10
@@ -67,7 +68,8 @@ def undecided(plan: Plan, columns: Mapping[str, np.ndarray], goal: SweepGoal | N
         if name in MARGINS:
             hopeless |= ~(found.low <= ceiling)
     value = _interval(columns, goal.best, amplified)
-    may, sure = may & np.isfinite(value.low), sure & np.isfinite(value.high)
+    # As a cost: a margin may be infinitely good, −∞.
+    may, sure = may & (value.low < np.inf), sure & (value.high < np.inf)
     highest = np.sort(value.high[sure])
     reach = highest[TOP - 1] if len(highest) >= TOP else np.inf
     rivals = np.flatnonzero(may & ~untold & (value.low <= reach))
@@ -83,20 +85,10 @@ def undecided(plan: Plan, columns: Mapping[str, np.ndarray], goal: SweepGoal | N
 def amplification(plan: Plan, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     """What a metric's `float32_error` is to be multiplied with, (rows,) [-]."""
     sensitivity = worst(columns, "M_s")
-    scored = _setting(plan, columns, "duration") - _setting(plan, columns, "settle")
     # Where the loop is unstable there is no metric.
     nearly = np.where(np.isfinite(sensitivity), np.maximum(1.0, sensitivity / AMPLIFYING), 1.0)
-    amplified: np.ndarray = nearly * np.sqrt(np.maximum(1.0, AVERAGING / scored))
+    amplified: np.ndarray = nearly * np.sqrt(np.maximum(1.0, AVERAGING / scored_time(plan, columns)))
     return amplified
-
-
-def _setting(plan: Plan, columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """A number of the experiment that each row met, (rows,)."""
-    value = np.full(len(columns["status"]), float(plan.canonical["experiment"][name]))
-    for axis in plan.space.axes:
-        if axis.name == name:
-            value = columns[name] * (value if axis.relative else 1.0)
-    return value
 
 
 def _interval(columns: Mapping[str, np.ndarray], name: str, amplified: np.ndarray) -> _Interval:
@@ -131,7 +123,7 @@ def _saturated(columns: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _near_limits(plan: Plan, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     """Whether force or residual came so near to a limit that another program may be beyond it, (rows, stiffness)."""
-    limit = _setting(plan, columns, "force_limit")
+    limit = met(plan, columns, "force_limit")
     found = np.zeros(columns["status"].shape, bool)
     for name, limits in (("peak_force", (limit, HIGHEST_FORCE)), ("peak_error", (HIGHEST_ERROR,))):
         if name in columns:

@@ -3,6 +3,7 @@
 import argparse
 import math
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -92,8 +93,11 @@ def _chosen(args: argparse.Namespace) -> "tuple[Params, Experiment]":
             raise InputError("--row", "missing", "the row of the sweep to freeze", remedy)
         return params_from(args.params), experiment_from(args.experiment or EXPERIMENT)
     from sweeps.result import Result
+    from sweeps.show.best_rows import progress
 
     result = Result.load(folder)
     place = result.place(args.row)
     met = experiment_from(args.experiment) if args.experiment else result.experiment(place)
+    if not result.complete:
+        print(f"jaxmpc freeze: unfinished sweep: {progress(result)}", file=sys.stderr)
     return result.controller(place), met

@@ -17,9 +17,10 @@ from msgspec.structs import replace as changed
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import digest
 from sweeps import store
+from sweeps.interrupt import gently
 from sweeps.plan import make_plan
 from sweeps.refine.proposal import around, survivors
-from sweeps.result import AROUND, FULL, RERUN, SCREEN, Result, merged
+from sweeps.result import AROUND, FULL, RERUN, SCREEN, Result, merged, of_stages
 from sweeps.run import run as run_plain
 from sweeps.spec import SweepSpec
 from sweeps.tables import RefineTable
@@ -44,7 +45,8 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
         how: See `sweeps.run.run`.
 
     Returns:
-        The rows of the last stage, `stages` being all of them; incomplete where somebody stopped it.
+        The rows of the last stage, or of all rounds around a front, `stages` being all stages; incomplete where
+        somebody stopped it.
 
     Raises:
         InputError: The folder belongs to something else.
@@ -54,13 +56,16 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
     folder = Path(folder)
     store.prepare_refined(folder, *described(spec))
     done: list[tuple[str, Result]] = []
-    for leg in _legs(spec, spec.refine, done):
-        rows, experiment = len(leg.spec.space.rows()), leg.spec.experiment
-        told(f"{leg.name}: {rows} rows on {experiment.physics}, {rows * experiment.steps:.3g} steps a tissue")
-        result = run_plain(leg.spec, folder / "stages" / leg.name, told=told, **how)
-        done.append((leg.name, result))
-        if not result.complete:
-            return replace(result, stages=tuple(done))
+    with gently(how.get("gentle", False)) as stop:
+        for leg in _legs(spec, spec.refine, done):
+            if done and stop():
+                return of_stages(done, ended=False)
+            rows, experiment = len(leg.spec.space.rows()), leg.spec.experiment
+            told(f"{leg.name}: {rows} rows on {experiment.physics}, {rows * experiment.steps:.3g} steps a tissue")
+            result = run_plain(leg.spec, folder / "stages" / leg.name, told=told, **how)
+            done.append((leg.name, result))
+            if not result.complete:
+                return of_stages(done, ended=False)
     store.write_summary(folder, {"stages": {name: result.hash for name, result in done}})
     return Result.load(folder)
 

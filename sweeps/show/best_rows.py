@@ -5,7 +5,7 @@ from typing import Any
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.terminal import layout
 from sweeps.goal import SweepGoal
-from sweeps.result import Result
+from sweeps.result import AROUND, Result
 from sweeps.show.in_the_way import in_the_way
 
 RESIDUALS = ("rms", "true_rms")
@@ -53,8 +53,11 @@ def rendered(result: Result, n: int, max_M_s: float | None) -> tuple[list[str], 
 
 
 def progress(result: Result) -> str:
-    """How many of its rows are here, in words."""
+    """How many of its rows are here, in words; of a refined sweep those of the stage that is shown."""
     rows = f"{len(result)} of {len(result.plan.rows)} rows"
+    if result.stages:
+        name, _ = result.stages[-1]
+        rows += f" {'up to' if name.endswith(AROUND) else 'of'} stage {name}"
     return rows if result.decided is None else f"{rows}, {result.decided.there}"
 
 
@@ -65,11 +68,21 @@ def chance(result: Result, max_M_s: float | None = None) -> list[str]:
         result: The sweep.
         max_M_s: Largest accepted worst-case peak sensitivity [-]; None is the spec's.
     """
-    lines = [] if result.decided is None else [result.decided.sentence(result.goal)]
+    decided = result.decided
+    lines = [decided.sentence(result.goal)] if decided is not None and len(decided.after["row"]) else []
     if left := len(result.undecided(goal_of(result, max_M_s))):
-        bound = "`decide` in [sweep] bounds how many run in float64"
-        lines.append(f"{left} rows{' more' * len(lines)} have a rank or status that is chance in float32; {bound}")
+        told = f"{left} rows{' more' * len(lines)} have a rank or status that is chance in float32"
+        lines.append(f"{told}; {_remedy(result, max_M_s)}")
     return lines
+
+
+def _remedy(result: Result, max_M_s: float | None) -> str:
+    """What decides the rows that are left to chance."""
+    if result.stages and all(stage.plan is not result.plan for _, stage in result.stages):
+        return 'each round ran in float64 what is chance among its own rows, precision = "float64" in [sweep] runs all'
+    if goal_of(result, max_M_s) != result.goal:
+        return "those that are chance with the spec's own limit run in float64"
+    return "`decide` in [sweep] bounds how many run in float64"
 
 
 def goal_of(result: Result, max_M_s: float | None) -> SweepGoal:

@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxmpc.files.sealed import SealError
+from sweeps import store
 from sweeps.chunks import chunk_files, chunk_name, read_chunks
+from sweeps.cluster import worked
 from sweeps.compute import begin
 from sweeps.leases import MOST_DEATHS, Leases, given_up
 from sweeps.plan import make_plan
@@ -126,6 +129,24 @@ def failing(at: int, fetched: bool) -> Any:
     return wrong
 
 
+def test_two_processes_may_put_one_damaged_chunk_away(
+    spec: SweepSpec, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    plan = make_plan(spec)
+    store.prepare(tmp_path / "run", plan)
+    path = tmp_path / "run" / "chunks" / "000000000-000000120.npz"
+    path.write_bytes(b"PK")
+
+    def other_first(*given: Any) -> Any:
+        monkeypatch.undo()
+        read_chunks(tmp_path / "run", plan, mend=True)
+        raise SealError("cut short")
+
+    monkeypatch.setattr("sweeps.chunks._read_chunk", other_first)
+    assert not read_chunks(tmp_path / "run", plan, mend=True).there.any()
+    assert [file.name for file in path.parent.iterdir()] == [f"{path.name}.damaged"]
+
+
 @pytest.mark.parametrize("fetched", [False, True])
 def test_a_chunk_that_fails_is_set_aside_and_can_be_tried_again(
     fetched: bool, spec: SweepSpec, finished: tuple[Path, Result], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
@@ -144,6 +165,30 @@ def test_a_chunk_that_fails_is_set_aside_and_can_be_tried_again(
     # What stopped it has set nothing aside.
     assert run(spec, tmp_path / "run").hash == finished[1].hash
     assert list((tmp_path / "run" / "leases").iterdir()) == []
+
+
+@pytest.mark.parametrize("fetched", [False, True])
+@pytest.mark.parametrize("at", [0, 40, 119])
+def test_a_round_that_fails_costs_no_other(
+    at: int,
+    fetched: bool,
+    spec: SweepSpec,
+    finished: tuple[Path, Result],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    folder, (first, last) = tmp_path / "run", (at // 32 * 32, min(at // 32 * 32 + 32, 120))
+    with monkeypatch.context() as patch:
+        patch.setattr("sweeps.cluster._prepared", True)
+        patch.setattr("sweeps.crew.round_of", lambda plan: 32)
+        patch.setattr("sweeps.crew.begin", failing(at, fetched))
+        part = run(spec, folder, chunk=120)
+        (piece,) = [piece for piece in worked(make_plan(spec), 0, 120, None)[0] if piece.columns is None]
+    assert (piece.first, piece.last) == (first, last)
+    assert given_up(folder) == {(first, last): "ArithmeticError: a gain of 0/0"}
+    assert part["row"].tolist() == [row for i, row in enumerate(part.plan.rows.tolist()) if not first <= i < last]
+    assert list((folder / "leases").iterdir()) == []
+    assert run(spec, folder, retry=True).hash == finished[1].hash
 
 
 def test_every_flipped_bit_costs_its_chunk_alone(

@@ -16,11 +16,14 @@ import pytest
 
 from jaxmpc.xla import store
 from sweeps import rates
+from sweeps.axis import SweepAxis
 from sweeps.blocks import block_of, padded
 from sweeps.compiling import Compiling, so_far
+from sweeps.dry_run import dry_run
 from sweeps.engines import Devices, devices
 from sweeps.pace import Pace
 from sweeps.plan import Plan, make_plan
+from sweeps.space import make_space
 from sweeps.spec import SweepSpec
 
 DEVICES, PER_ROW, START, COMPILE = Devices(2, "a processor"), 0.01, 2.0, 10.0
@@ -147,3 +150,33 @@ def test_rates_are_of_the_device_and_engine_that_will_run(spec: SweepSpec, tmp_p
     assert pickle.loads(pickle.dumps(on_kernel)).engine == "kernel"
     assert on_kernel.spec_hash == plan.spec_hash
     assert rates.estimate(on_kernel, here, where=file) is None
+
+
+def test_rows_of_other_lengths_count_and_leave_no_rate(
+    spec: SweepSpec, plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where = tmp_path / "rates.json"
+    monkeypatch.setattr(rates, "kept_in", lambda: where)
+
+    def swept(name: str, scale: Any, *values: Any, relative: bool = False) -> SweepSpec:
+        axis = SweepAxis(name, scale, values, relative)
+        factors = ((axis,), *((each,) for each in spec.space.axes))
+        return replace(spec, space=make_space("grid", factors, 0, 0, spec.space.horizons))
+
+    lengths, there = swept("duration", "list", 1.0, 3.0), devices(2)
+    mixed = make_plan(lengths)
+    for unlike in (lengths, swept("physics", "choice", "linear", "wam"), swept("arm.substeps", "choice", 1, 2)):
+        rates.record(make_plan(unlike), paced(make_plan(unlike), Compiling()), there)
+        assert not where.exists()
+        assert "unknown: an axis changes what a row costs" in dry_run(unlike, make_plan(unlike), 2, measure=True)
+    assert "axis-steps  2.88e+06\n" in dry_run(lengths, mixed, 2, measure=False)
+    assert rates.samples_of(mixed) == 2.0 * rates.samples_of(plan) == 4000.0
+    assert rates.samples_of(make_plan(swept("sampling_time", "list", 1.0, 0.5, relative=True))) == 3000.0
+    # What is known of rows of one length tells of both.
+    one = make_plan(swept("force_limit", "list", 10.0, 20.0))
+    rates.record(one, paced(one, Compiling()), there)
+    even, both = rates.estimate(one, there), rates.estimate(mixed, there)
+    assert even is not None
+    assert both is not None
+    assert both.rate == pytest.approx(even.rate / 2.0)
+    assert rates.estimate(make_plan(swept("physics", "choice", "linear", "wam")), there) is None

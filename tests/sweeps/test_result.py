@@ -83,6 +83,21 @@ def test_what_stands_in_the_way_is_told_where_no_row_is_good(finished: Finished)
     assert in_the_way(lost, goal) == ["0 of 4 rows are OK at every stiffness"]
 
 
+def test_a_row_that_failed_is_on_no_front_and_explains_what_was_lost(finished: Finished) -> None:
+    n, plan = 40, finished[1].plan
+    status = np.full((n, 2), Status.OK)
+    status[:10, 1] = Status.DIVERGED
+    made = made_up(np.stack([np.linspace(0.1, 0.2, n), np.linspace(1.2, 1.9, n)], axis=1), status, plan)
+    extra = {"gain_margin_db": np.full((n, 2), 9.0), "clamped": np.zeros((n, 2, 3)), "Hp": np.full(n, 10)}
+    extra |= {"lam": np.repeat([1.0, 2.0, 3.0, 4.0], 10), "T_cl": np.tile([1.0, 2.0], n // 2)}
+    made = replace(made, columns={**made.columns, **extra})
+    assert made.pareto("M_s", "gain_margin_db")["row"].tolist() == [10]
+    # All others have none: lam alone decides who is lost.
+    found = sensitivity(made, "clamped")
+    assert found["lam"].share > 0.9
+    assert found["T_cl"].share < 0.1
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_front_is_the_one_of_brute_force(seed: int, finished: Finished) -> None:
     random = np.random.default_rng(seed)

@@ -73,8 +73,9 @@ def test_a_worker_computes_a_chunk_round_by_round(
     monkeypatch.setattr(cluster, "_compiled", set())
     monkeypatch.setattr("sweeps.crew.round_of", lambda plan: 20)
     monkeypatch.setattr("sweeps.crew.begin", counted)
-    columns, _, rows, seconds = cluster.worked(make_plan(spec), 30, 85, None)
-    for name, values in columns.items():
+    (chunk,), _, rows, seconds = cluster.worked(make_plan(spec), 30, 85, None)
+    assert chunk.columns is not None
+    for name, values in chunk.columns.items():
         np.testing.assert_array_equal(values, finished[1][name][30:85], err_msg=name)
     # A chunk at once would be a program of its own for each length; the first round has compiled, and says nothing.
     assert asked == [20, 20, 15]

@@ -18,6 +18,7 @@ from sweeps.compute import baseline, compute
 from sweeps.decided import plan_in_float64, with_decided
 from sweeps.dry_run import dry_run
 from sweeps.goal import SweepGoal
+from sweeps.met import scored_time
 from sweeps.plan import Columns, Plan, make_plan
 from sweeps.refine.run import described
 from sweeps.result import Result
@@ -301,6 +302,43 @@ def test_what_counts_as_undecided(spec: SweepSpec) -> None:
     assert found[4] == 7
     columns[IN_FLOAT64][:] = True
     assert undecided(plan, columns).tolist() == []
+
+
+@pytest.mark.parametrize("reduction", [20.0, np.inf])
+def test_rows_that_are_infinitely_good_are_decided(spec: SweepSpec, reduction: float) -> None:
+    plan = replace(make_plan(spec), goal=SweepGoal("gain_reduction_db", {"chatter": 1.0}))
+    columns = made_up({"rms": [0.02] * 3, "peak_force": [5.0] * 3, "chatter": [1.001, 0.999, 0.5], "M_s": [1.5] * 3})
+    columns |= {"status": np.zeros((3, 1), np.int8), "gain_reduction_db": np.full((3, 1), reduction)}
+    assert sorted(undecided(plan, columns).tolist()) == [0, 1]
+    columns["gain_reduction_db"][:2] = -np.inf  # as of a loop that is lost
+    assert undecided(plan, columns).tolist() == []
+
+
+RAMPS: Any = (
+    {"kind": "ramp", "to": -5.0, "rate": 10.0},
+    {"kind": "hold", "duration": 1.0},
+    {"kind": "ramp", "to": -2.0, "rate": 8.0},
+)
+
+
+@pytest.mark.parametrize(
+    ("base", "axes"),
+    [
+        (-5.0, {"settle": [0.2, 0.3], "duration": [2.0, 1.5]}),
+        (RAMPS, {"settle": {"linear": [0.5, 1.5], "points": 3, "relative": True}, "sampling_time": [0.002, 0.001]}),
+        (RAMPS, {"reference.z": [-5.0, -2.0], "duration": [2.0, 3.0]}),
+        (-5.0, {"reference.z": [[*RAMPS], [*RAMPS[:1]], -3.0], "reference.x": [1.0, 2.0], "lam": [0.1, 0.2]}),
+    ],
+    ids=["no ramp", "ramps", "numbers in place of ramps", "ramps among the choices"],
+)
+def test_the_scored_time_is_that_of_the_experiment(base: Any, axes: dict[str, Any]) -> None:
+    experiment = {**DATA["experiment"], "duration": 2.0, "reference": {"z": base}}
+    plan = make_plan(SweepSpec.from_dict({**DATA, "experiment": experiment, "sweep": {"kind": "grid", "axes": axes}}))
+    columns = plan.space.columns(plan.rows) | {"row": plan.rows}
+    result = Result(plan, columns)
+    for place, found in enumerate(scored_time(plan, columns)):
+        exact = result.experiment(place)
+        assert found == pytest.approx(exact.scored[1].sum(axis=0).min() * exact.sampling_time, abs=0.009)
 
 
 def test_older_folders_and_stages_go_on_where_nothing_is_decided() -> None:
