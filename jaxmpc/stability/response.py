@@ -92,7 +92,8 @@ def tip_response(contact: Contact, theta: Any, late: Any = None) -> tuple[Respon
 
 def _moved(contact: Contact, q: Response, gamma_1: Any, gamma_2: Any) -> Response:
     """How far the tip moves in a sample per acceleration that adds so much to position and velocity in one."""
-    return q * (contact.phi[0] * gamma_2 * q / (1.0 - contact.phi[1] * q) + gamma_1)
+    moved: Response = q * (contact.phi[0] * gamma_2 * q / (1.0 - contact.phi[1] * q) + gamma_1)
+    return moved
 
 
 def _held(contact: Contact, part: Any) -> tuple[Any, Any]:

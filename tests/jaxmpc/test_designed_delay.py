@@ -181,7 +181,7 @@ def test_two_samples_cost_nine_operations_an_axis() -> None:
     assert operations(TWO) - operations(ONE) == 9
 
 
-@pytest.mark.parametrize(("name", "before", "after"), [("text", 11.95, 7.27), ("cautious", 2.96, 2.53)])
+@pytest.mark.parametrize(("name", "before", "after"), [("text", 11.97, 7.24), ("cautious", 3.06, 2.60)])
 def test_where_there_are_two_samples_it_leaves_more_margin(name: str, before: float, after: float) -> None:
     """The peaks are those of docs/arm.md."""
     stiffness = np.geomspace(375.0, 1900.0, 33)
