@@ -54,10 +54,10 @@ def compared(quick: bool) -> list[dict[str, Any]]:
     for physics, engine, dtype, batches in (
         ("linear", "kernel", "float32", (131072, 16384)),
         ("linear", "kernel", "float64", (131072,)),
-        ("linear", "scan", "float32", (131072,)),
+        ("linear", "scan", "float32", (131072, 16384)),
         ("wam", "kernel", "float32", (65536, 16384)),
-        ("wam", "scan", "float32", (65536,)),
-        ("mjx", "mjx", "float32", (8192,)),
+        ("wam", "scan", "float32", (65536, 16384)),
+        ("mjx", "mjx", "float32", (8192, 2048, 32768, 65536)),
     ):
         for batch in batches[: 1 if quick else None]:
             row = measured(physics, engine, dtype, batch)

@@ -10,6 +10,7 @@ from jaxmpc.experiment.job import experiment_table, params_table
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.sampling import check_sampling
 from jaxmpc.world.tissue import LAWS
 from sweeps.goal import MEASURED, SweepGoal, columns_kept
 from sweeps.reading import flattened, read_space, stiffness_set
@@ -81,7 +82,8 @@ class SweepSpec:
             name: For people.
 
         Raises:
-            InputError: A key is unknown, or a value of the wrong type or out of bounds.
+            InputError: A key is unknown, a value of the wrong type or out of bounds, or a part of the controller does
+                nothing at a row's sampling time.
         """
         known_tables(data, ("experiment", "params", "sweep", "refine"))
         if "sweep" not in data:
@@ -101,6 +103,7 @@ class SweepSpec:
         spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)
         spec = replace(spec, refine=_refine(data["refine"], spec)) if "refine" in data else spec
         _check_effect(spec)
+        check_sampling(params, _slowest(spec))
         return spec
 
     def on(self, changes: dict[str, Any], root: str = "experiment") -> "SweepSpec":
@@ -124,6 +127,13 @@ class SweepSpec:
         from msgspec.structs import replace as changed
 
         return replace(self, space=changed(self.space, only=tuple(sorted(rows))))
+
+
+def _slowest(spec: SweepSpec) -> float:
+    """The longest sampling time of a row [s]."""
+    base = spec.experiment.sampling_time
+    axes = [axis for axis in spec.space.axes if axis.name == "sampling_time"]
+    return max((axis.setting(value, base) for axis in axes for value in axis.values), default=base)
 
 
 def _check_filters(space: SweepSpace, params: Params) -> None:

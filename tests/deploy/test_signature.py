@@ -115,6 +115,7 @@ def test_other_bytes_than_three_lines_are_refused(signed, key):
         *("", text + "\n", text.rstrip(), text.replace("\n", "\r\n"), f"{title}\n{owner} me\n{value}\n"),
         *(f"{title}\n{owner}\n{zero}\n", f"{TITLE[:-1]}2\n{owner}\n{value}\n", f"{title}\nssh-rsa AAAA\n{value}\n"),
         *("x" * 100_000, f"{title}\n{owner}\n{value[:-4]}\n", f"{title}\n{owner}\n{value}\n{value}\n"),
+        f"{title}\n{owner}\n{value}\nand more",
     ):
         path.write_text(wrong, newline="")
         with pytest.raises(SignatureError):

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -153,6 +154,14 @@ def test_one_bad_value_is_refused_before_it_loses_the_rows_beside_it(
     text = f'{experiment}[sweep]\nkind = "grid"\n[sweep.axes]\n{axes}\n'
     assert command("sweep", write_spec(text), "--dry-run") == 2
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("times", [[0.001, 0.01], {"linear": [0.001, 0.01], "points": 3}])
+def test_a_guard_that_a_row_samples_too_slowly_is_refused(times: Any) -> None:
+    params = {"published": "cautious", "guarded": True}
+    sweep = {"kind": "grid", "axes": {"sampling_time": times}}
+    with pytest.raises(InputError, match="guarded"):
+        SweepSpec.from_dict({"experiment": {"published": "table-1-wam"}, "params": params, "sweep": sweep})
 
 
 @pytest.mark.parametrize("kind", ["sobol", "random"])
