@@ -235,7 +235,7 @@ def readings(kind, of, heart_at, count):
 def test_the_force_filter_is_the_kalman_filter():
     """A falling force, against the filter written as matrices."""
     constants, t = force_filter(cutoff_of(20.0, 0.01, 1e-3), 1e-3, FLOATS), np.arange(200) * 1e-3
-    gains = Gains((0.0,) * 2, (0.0,) * 2, (0.0,) * 4, (0.0,) * 3, 0.0, (0.0,), (0.0,) * 2, 0.0, force_filter=constants)
+    gains = Gains((0.0,) * 2, (0.0,) * 2, (0.0,) * 4, (0.0,) * 3, 1.0, (0.0,), (0.0,) * 2, 0.0, force_filter=constants)
     state, K, x = cascade.init(gains), np.array(constants[1:]), np.zeros(2)
     for force in 8.1 * t + 0.81 * t**2:
         state, said = cascade.filter_force(gains, state, force)
