@@ -29,7 +29,7 @@ class Gains(NamedTuple):
     """Kalman gain: force [-], force rate [1/s], last input, active state and its differences [m/s²/N], (3 + N,)."""
     L: Annotated[Vector, Constant((3,))]
     """State feedback: force [m/s²/N], force rate [m/s/N], last input [-], shape (3,)."""
-    input_gain: Annotated[Scalar, Constant()]
+    input_gain: Annotated[Scalar, Constant(low=1e-30)]
     """g, acceleration per unit of u: L₁ [m/s²/N] makes the DC gain u → y one."""
     mpc_ref: Annotated[Vector, _ANY]
     """Weights r on the force reference 1…n samples ahead [-], shape (n,); their sum acts on a constant."""

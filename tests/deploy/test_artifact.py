@@ -129,6 +129,12 @@ def test_each_wrong_loop_has_its_sentence(data, changes, message):
         from_bytes(seal(header | {"loop": header["loop"] | changes}, arrays))
 
 
+def test_a_gain_by_which_the_law_divides_is_none_of_0(data):
+    header, arrays = unseal(data)
+    with pytest.raises(ArtifactError, match=r"input_gain = 0\.0: must be at least 1e-30"):
+        from_bytes(seal(header | {"gains": header["gains"] | {"input_gain": 0.0}}, arrays))
+
+
 def with_nan(array):
     changed = np.array(array)
     changed.flat[0] = np.nan
