@@ -73,8 +73,8 @@ class Artifact:
         if not isinstance(self.preview, bool):
             raise InputError("preview", self.preview, "true or false", "Say whether the future reference is known.")
         T_s, K2 = margin_floor.number("T_s", self.T_s), margin_floor.number("K2", self.K2)
-        if not 1e-5 <= T_s <= 0.1:
-            raise InputError("T_s", T_s, "in [1e-5, 0.1] s", "The paper's controller runs at 1e-3.")
+        if not 1e-4 <= T_s <= 0.1:
+            raise InputError("T_s", T_s, "in [1e-4, 0.1] s", "The paper's controller runs at 1e-3.")
         if not 0.0 <= K2 <= 1e4:
             raise InputError("K2", K2, "in [0, 1e4] 1/s", "The paper's controller has 10.")
         if gains.force_filter is not None and gains.force_filter.T_s != T_s:

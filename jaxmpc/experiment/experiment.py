@@ -56,7 +56,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     and always so on the arm."""
     velocity_lowpass: Annotated[float, msgspec.Meta(ge=0.0, le=1e5)] = 180.0
     """Cut-off of the velocity filter, for sampled damping, of controllers without one of their own [rad/s]."""
-    sampling_time: Annotated[float, msgspec.Meta(ge=1e-5, le=0.1)] = 1e-3
+    sampling_time: Annotated[float, msgspec.Meta(ge=1e-4, le=0.1)] = 1e-3
     """T_s [s]."""
     delay: Annotated[int, msgspec.Meta(ge=1, le=2)] = 1
     """Samples between a command and its effect [samples]."""

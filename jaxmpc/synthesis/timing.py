@@ -24,7 +24,7 @@ class Timing:
 
     def __post_init__(self) -> None:
         number = isinstance(self.T_s, Real | np.ndarray | jax.Array) and not isinstance(self.T_s, bool)
-        if not (number and np.ndim(self.T_s) == 0 and math.isfinite(self.T_s) and 1e-5 <= self.T_s <= 0.1):
-            raise InputError("T_s", self.T_s, "in [1e-5, 0.1] s", "The paper's controller runs at 1e-3.")
+        if not (number and np.ndim(self.T_s) == 0 and math.isfinite(self.T_s) and 1e-4 <= self.T_s <= 0.1):
+            raise InputError("T_s", self.T_s, "in [1e-4, 0.1] s", "The paper's controller runs at 1e-3.")
         if self.delay not in (1, 2):
             raise InputError("delay", self.delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")

@@ -56,7 +56,7 @@ HEADER_CASES = [
     ({"version": "1"}, "never existed"),
     ({"kind": "7-dof"}, "of the kind '7-dof'; this version of jaxmpc knows 'linear' and 'wam'"),
     ({"kind": None}, "of the kind None"),
-    ({"T_s": 0.0}, r"T_s = 0.0: must be in \[1e-5, 0.1\] s"),
+    ({"T_s": 0.0}, r"T_s = 0.0: must be in \[1e-4, 0.1\] s"),
     ({"T_s": "nan"}, "T_s = nan: must be a number"),
     ({"T_s": 10**400}, "T_s = 1000.*must be a number"),
     ({"K2": -1.0}, r"K2 = -1.0: must be in \[0, 1e4\] 1/s"),

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -13,8 +15,10 @@ from jaxmpc.export.freezing import freeze_controller
 from jaxmpc.law import gain_backoff
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.stability.family import family_margins, gains_on
+from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.whole_arm import lost
 from jaxmpc.stability.whole_arm_margins import whole_arm_margins
+from jaxmpc.status import Status
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.sampling import SLOWEST_GUARDED, check_sampling
 from jaxmpc.synthesis.timing import Timing
@@ -74,3 +78,30 @@ def test_the_sine_has_four_samples_in_a_period(hertz: float, T_s: float, heard: 
     with pytest.raises(InputError, match="4 samples a period") as refused:
         check_sampling(listening, T_s)
     assert refused.value.key == "listening.frequency"
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("order", [1, 2])
+def test_no_instability_is_missed_at_the_quickest_sampling(order: Any) -> None:
+    """Margins look at angles from 5e-5 of the sampling frequency on: 0.5 Hz at 0.1 ms, the least time that is taken.
+
+    Observers with Q_p below 3e-10, a hundred-millionth of where tuners look, may be slower than that.
+    """
+    random, n = np.random.default_rng(1), 60
+    columns = {
+        "Q_p": np.geomspace(1e-9, 1e-2, n),
+        "K2": np.exp(random.uniform(-3.9, 3.9, n)),
+        "Khat_s": random.uniform(300.0, 2500.0, n),
+        "T_cl": np.exp(random.uniform(np.log(2e-3), np.log(0.3), n)),
+    }
+    batch, path = Params(disturbance_order=order).with_columns(columns), loop_path(1e-4)
+    found, gains = margins(batch, 810.0, path=path), design(batch, Timing(1e-4))
+    told = np.asarray(found.gain_reduction_db)
+    softer = 810.0 * 10.0 ** (-np.where(np.isfinite(told), 0.98 * told, 40.0) / 20.0)
+    loops = jax.jit(jax.vmap(lambda own, K2, K_s: closed_loop_matrix(own, contact_of(K_s, K2, path))))
+    radii = np.abs(np.linalg.eigvals(np.asarray(loops(gains, batch.K2, softer)))).max(axis=-1)
+    stable = np.asarray(found.status) == Status.OK
+    assert stable.sum() > 10
+    assert (radii[stable] <= 1.0 + 1e-9).all()
+    with pytest.raises(InputError, match="sampling_time"):
+        Experiment.from_dict({"sampling_time": 5e-5})
