@@ -28,7 +28,8 @@ def check_sampling(params: Params, T_s: Any) -> None:
     """
     if isinstance(T_s, jax.core.Tracer):
         return
-    slowest = float(np.max(T_s))
+    # Inside a program JAX's own maximum of an array that is known would be a traced one.
+    slowest = float(np.asarray(T_s).max())
     if params.guarded and slowest > SLOWEST_GUARDED:
         bound = f"false at a sampling time above {SLOWEST_GUARDED:g} s (= {slowest:g})"
         raise InputError("guarded", True, bound, "Sample faster: so slow a guard sees no swing.")

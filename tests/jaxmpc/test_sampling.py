@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -78,6 +79,17 @@ def test_the_sine_has_four_samples_in_a_period(hertz: float, T_s: float, heard: 
     with pytest.raises(InputError, match="4 samples a period") as refused:
         check_sampling(listening, T_s)
     assert refused.value.key == "listening.frequency"
+
+
+def test_a_time_in_an_array_is_known_inside_a_program() -> None:
+    T_s = jnp.asarray(0.015)
+
+    def designed(x: Any) -> Any:
+        with pytest.raises(InputError, match="guarded"):
+            check_sampling(FAMILY, T_s)
+        return x
+
+    assert jax.jit(designed)(1.0) == 1.0
 
 
 @pytest.mark.oracle

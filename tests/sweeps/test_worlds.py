@@ -56,9 +56,10 @@ def agrees_with_evaluate(result: Result, places: range) -> int:
         for name in {*METRICS, *MARGINS} - {"swing"}:
             found = np.asarray(getattr(alone.metrics if name in METRICS else alone.margins, name))
             # Margins are float64 on both sides; 600 float32 steps lose three of seven digits, four of changes from one
-            # to the next, which are some 14 mm/s² without noise.
+            # to the next, which are some 14 mm/s² without noise. A force of 5 N is known to 5e-7 N there, 20 of which
+            # count where a residual is small.
             tolerance = 5e-3 if name == "chatter" else 5e-4 if name in METRICS else 1e-9
-            np.testing.assert_allclose(result[name][place][ok], found[ok], rtol=tolerance, atol=1e-6, err_msg=name)
+            np.testing.assert_allclose(result[name][place][ok], found[ok], rtol=tolerance, atol=1e-5, err_msg=name)
     return compared
 
 
