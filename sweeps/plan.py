@@ -22,6 +22,9 @@ from sweeps.spec import SweepSpec
 from sweeps.targets import RECORDING
 
 SCHEMA = "jaxmpc-sweep/2"
+VELOCITY = "difference of positions"
+"""What damping is by, in loops and margins. Before this stood in a spec it was the velocity itself: rows of the two do
+not belong in one folder."""
 _SHA = "sha256:"
 
 Columns = dict[str, np.ndarray]
@@ -184,6 +187,9 @@ def make_plan(spec: SweepSpec) -> Plan:
         "columns": list(spec.kept),
         "space": space,
     }
+    swept = {axis.name for axis in spec.space.axes}
+    if spec.experiment.physics != "linear" or spec.experiment.damping != "ideal" or swept & {"physics", "damping"}:
+        canonical["velocity"] = VELOCITY
     # Through JSON types, so that a plan read back from its manifest is the same one.
     return Plan(msgspec.json.decode(msgspec.json.encode(canonical)), files, spec.goal, spec.engine)
 

@@ -51,14 +51,20 @@ def test_an_approach_ends_where_it_may_go_no_farther(made):
     assert made.travelled(made(Task.APPROACH, -far - 1e-6))
 
 
-def test_an_approach_that_is_held_back_ends_by_what_it_has_asked_for(made):
-    tip = made(Task.APPROACH)
-    cycles = round((WAYS.approach_limit + LARGEST_ERROR) / WAYS.approach_speed / T_S)
-    for _ in range(cycles - 2):
-        made(Task.APPROACH)
+@pytest.mark.parametrize(
+    ("task", "way", "speed"),
+    [
+        (Task.APPROACH, WAYS.approach_limit + LARGEST_ERROR, WAYS.approach_speed),
+        (Task.RETRACT, 2.0 * WAYS.retract_distance, WAYS.retract_speed),
+    ],
+)
+def test_a_way_on_which_the_arm_is_held_back_ends_by_what_it_has_asked_for(made, task, way, speed):
+    tip = made(task)
+    for _ in range(round(way / speed / T_S) - 2):
+        made(task)
     assert not made.travelled(tip)
     for _ in range(3):
-        made(Task.APPROACH)
+        made(task)
     assert made.travelled(tip)
 
 
@@ -70,17 +76,6 @@ def test_a_retraction_ends_where_it_was_to_go_and_then_stands(made):
     # The reference is far behind this leap in both: what changes is the integral, and the speed that is none any more.
     change = -INTEGRAL * T_S * LARGEST_ERROR - DAMPING * WAYS.retract_speed
     assert made.asked[-1][2] - made.asked[-2][2] == pytest.approx(change)
-
-
-def test_a_retraction_that_is_held_back_ends_by_twice_its_way(made):
-    tip = made(Task.RETRACT)
-    cycles = round(2.0 * WAYS.retract_distance / WAYS.retract_speed / T_S)
-    for _ in range(cycles - 2):
-        made(Task.RETRACT)
-    assert not made.travelled(tip)
-    for _ in range(3):
-        made(Task.RETRACT)
-    assert made.travelled(tip)
 
 
 def test_nothing_else_travels(made):
