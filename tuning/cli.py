@@ -36,13 +36,13 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: The spec or the folder is wrong; nothing has been written by then.
     """
-    from jaxmpc.terminal.process import use_all_cores
+    from jaxmpc.terminal.process import memory_as_needed, use_all_cores
 
     use_all_cores()
-    import jax
+    memory_as_needed()
+    from jaxmpc.xla.place import wake
 
-    # A GPU takes seconds to begin, and what is read before it computes needs none.
-    threading.Thread(target=jax.devices, daemon=True).start()
+    threading.Thread(target=wake, daemon=True).start()
     from msgspec.structs import replace
 
     from jaxmpc.engine.registry import named

@@ -15,6 +15,7 @@ from jaxmpc.experiment.tables import softening
 from jaxmpc.loop.arm import ArmSignals
 from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.world.heart.motion import displacement
+from jaxmpc.xla.plain import library
 
 
 def program_spec(experiment: Experiment) -> ProgramSpec:
@@ -53,8 +54,13 @@ def side_by_side(scenes: list[ScenarioData]) -> ScenarioData:
 
     On the arm they may also differ in the robot; what differs becomes one number per scene.
     """
+
+    def one_after_another(*fields: Any) -> Any:
+        # On a GPU JAX would compile that anew for every number of scenes.
+        return library(*fields).concatenate(fields)
+
     first = scenes[0]
-    joined = jax.tree.map(lambda *fields: jnp.concatenate(fields), *(scene.signals for scene in scenes))
+    joined = jax.tree.map(one_after_another, *(scene.signals for scene in scenes))
     if first.robot is None:
         return first._replace(signals=joined, lsb=np.tile(first.lsb, len(scenes)))
 

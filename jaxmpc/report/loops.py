@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
@@ -18,6 +19,7 @@ from jaxmpc.world.contact import init as contact_init
 from jaxmpc.world.contact import move as contact_move
 from jaxmpc.world.contact import sense as contact_sense
 from jaxmpc.world.loop_path import LoopPath
+from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.place import on_cpu
 from jaxmpc.xla.precision import in_float64
 
@@ -70,14 +72,19 @@ def curves(params: Params, experiment: Experiment, ideal: bool) -> Curves:
     controllers = gains_on(params, experiment.stiffness, experiment.loop_path())
     loops, forces = [], []
     for i, K_s in enumerate(experiment.stiffness):
-        # Of plain arrays the closed forms are plain arithmetic, so next to nothing is compiled.
         gains, K2 = jax.tree.map(lambda leaf, i=i: leaf[i], controllers)
         paths = (experiment.loop_path(kind).with_cutoff(params.velocity_cutoff) for kind in (ideal, None))
         judged, met = (_world(K_s, K2, path) for path in paths)
-        cuts = [np.asarray(loop_response(gains, judged, theta, cut))[0] for cut in ((0.0,) if ideal else (0.0, 1.0))]
-        loops.append(min(cuts, key=lambda loop: np.abs(1.0 + loop).min()))
+        cuts = np.asarray(_open_loops(gains, judged, theta))
+        loops.append(min(cuts[:1] if ideal else cuts, key=lambda loop: np.abs(1.0 + loop).min()))
         forces.append(step_response(gains, met)[0])
     return Curves(theta / (2.0 * np.pi * T_s), np.stack(loops), np.arange(STEP_SAMPLES) * T_s, np.stack(forces))
+
+
+@JitOnce
+def _open_loops(gains: Gains, contact: Contact, theta: Any) -> Any:
+    """Cut at v and at a, (2, points)."""
+    return jnp.stack([loop_response(gains, contact, theta, cut)[0] for cut in (0.0, 1.0)])
 
 
 def _world(stiffness: float, K2: Any, path: LoopPath) -> Contact:

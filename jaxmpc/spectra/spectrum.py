@@ -1,8 +1,10 @@
 """What disturbs the loop in an experiment, as a few lines: heart, friction and model error, noise."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Complex, Float
 
@@ -28,6 +30,13 @@ class Spectrum(NamedTuple):
     """Amplitude of the disturbance acceleration at the command [m/s²]; its phase is against that of the heart."""
     noise: Float[np.ndarray, "3"]
     """Standard deviation of sensor noise and quantisation, white [N]."""
+
+    @staticmethod
+    def blank(lines: int = LINES) -> "Spectrum":
+        """One of nothing, in the shapes and types that all have: programs can be compiled with it."""
+        count = 2 * (lines // 2)
+        amplitude = np.zeros((3, count), complex)
+        return Spectrum(np.zeros(count), amplitude, amplitude, np.zeros(3))
 
 
 @lru_cache(maxsize=32)  # before and after tuning, and in a job's problems, the scenarios are the same
@@ -76,6 +85,12 @@ def spectrum_of(experiment: Experiment, lines: int = LINES) -> Spectrum:
         np.hstack([w_1, w_2]) / np.tile(to_acceleration, 2),
         noise,
     )
+
+
+def stacked(spectra: Sequence[Spectrum]) -> Spectrum:
+    """Several as one, each field with a first dimension for them."""
+    found: Spectrum = jax.tree.map(lambda *leaves: np.stack(leaves), *spectra)
+    return found
 
 
 def _lines(record: Float[np.ndarray, "steps 3"]) -> Complex[np.ndarray, "3 bins"]:

@@ -5,6 +5,7 @@ from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import jax
+import numpy as np
 
 
 @contextmanager
@@ -21,3 +22,8 @@ def platform() -> str:
     if chosen is None:
         return jax.default_backend()
     return chosen if isinstance(chosen, str) else str(chosen.platform)
+
+
+def wake() -> None:
+    """Have the device hold a first array, before which a GPU takes seconds to begin: for a thread beside the rest."""
+    jax.device_put(np.zeros(())).block_until_ready()

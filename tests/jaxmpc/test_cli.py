@@ -21,7 +21,7 @@ from jaxmpc.cli.simulate import simulated, with_heart_still, without_motion
 from jaxmpc.files.toml import write_toml
 from jaxmpc.loop.arm import ArmSample
 from jaxmpc.pictures.film import SIZE, film
-from jaxmpc.terminal.process import one_thread_for_blas, use_all_cores
+from jaxmpc.terminal.process import use_all_cores
 from jaxmpc.xla import store
 from jaxmpc.xla.once import JitOnce
 from tests.sources import ROOT
@@ -348,12 +348,3 @@ def test_who_closes_the_outputs_loses_words_alone(closed: str) -> None:
         ran = subprocess.run([*command, *words], cwd=ROOT, capture_output=True, text=True, check=False)
         assert ran.returncode == code
         assert "Traceback" not in ran.stdout + ran.stderr
-
-
-def test_blas_has_one_thread_unless_the_user_says_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    for asked, given in ((None, "1"), ("3", "3")):
-        monkeypatch.setenv("OPENBLAS_NUM_THREADS", asked or "")
-        if asked is None:
-            monkeypatch.delenv("OPENBLAS_NUM_THREADS")
-        one_thread_for_blas()
-        assert os.environ["OPENBLAS_NUM_THREADS"] == given

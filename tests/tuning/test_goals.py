@@ -83,3 +83,23 @@ def test_a_ratio_to_nothing() -> None:
     after = cells(clamped=np.array([[[0.5, np.nan, 0.5], [0.0, np.nan, 0.25]]]))
     ratio = run_goals(after, before, None, {"clamped_ratio": 0.5})["clamped_ratio"]
     np.testing.assert_array_equal(ratio, [[[0.0, np.nan, np.inf], [0.0, np.nan, 1.0]]])
+
+
+def test_plain_numbers_stand_to_their_goals_as_traced_ones() -> None:
+    """Infinite margins and unstable loops among them; nothing is warned of."""
+    for one in (found(), found(gain_reduction_db=np.inf, M_s=3.0), found(1.1), found(0.0)):
+        plain = jax.tree.map(np.asarray, one)
+        for here, there in zip(margin_goals(plain, LIMITS), margin_goals(one, LIMITS), strict=True):
+            assert not isinstance(here, jax.Array)
+            np.testing.assert_allclose(here, there, rtol=1e-14)
+    values, before = np.array([[[0.0, 1.0, np.nan]]]), np.array([[[0.0, 0.0, 2.0]]])
+    limits = {"clamped_ratio": 0.5, "clamped": 0.1, "clamped_y": 0.1}
+
+    def cells(clamped: np.ndarray) -> Metrics:
+        return Metrics(**{name: 0.0 * clamped for name in Metrics._fields} | {"clamped": clamped})
+
+    plain_goals = run_goals(cells(values), cells(before), None, limits)
+    traced = run_goals(*jax.tree.map(jnp.asarray, (cells(values), cells(before))), None, limits)
+    for name in limits:
+        assert isinstance(plain_goals[name], np.ndarray)
+        np.testing.assert_array_equal(plain_goals[name], traced[name])

@@ -108,7 +108,7 @@ def test_what_the_slopes_are_taken_of_is_compiled_ahead(case: Case) -> None:
     """By what is measured later: the proof's slopes on each tissue then wait for no compiler."""
     over_starts.cache_clear()  # what another test has compiled would hide what this one does not
     program, rows = over_starts(value_and_gradient, case.spectra.structure), len(case.z)
-    case.spectra.compile_slopes(rows)
+    case.spectra.corrected_by_one().compile_slopes(rows)
     measured = Measured(case.z, case.measured.loss, case.factors)
     corrected = corrected_at(case.spectra, measured, case.z[1])
     found = [slopes(on_tissue(corrected, i), case.z[1], rows) for i in range(len(case.spec.experiment.stiffness))]

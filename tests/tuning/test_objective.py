@@ -13,6 +13,7 @@ from jaxmpc import margins
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import METRICS
 from jaxmpc.xla.precision import in_float64
+from jaxmpc.xla.shared import kind_of
 from tuning import TuneSpec
 from tuning.job.goals import margin_goals
 from tuning.objective.loss import HEADROOM, PENALTY, Values, loss_of, visible_goals, visible_soft
@@ -61,6 +62,34 @@ def test_reverse_gradient_is_the_central_difference_for_every_parameter(small: J
     found = see(np.tile(z, (8, 1)), 3.0).gradient[0]
     assert (np.abs(expected) > 1e-8).all()
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {"experiment": QUIET},
+        {"experiment": {"published": "table-1-wam", "stiffness": [375.0, 1900.0], "duration": 3.0, "settle": 2.0}},
+    ],
+    ids=["linear", "spectra of the arm"],
+)
+@in_float64
+def test_programs_can_be_compiled_before_spectra_are_read_and_ratios_have_a_base(
+    small: Job, tables: dict[str, Any]
+) -> None:
+    goals = {"ideal": False, "soft": {"rms_ratio": 0.9}}
+    tune = {"train_seeds": [0, 1], "duration": 3.0, "settle": 2.0}
+    spec = TuneSpec.from_dict(small(**tables, goals=goals, tune=tune))
+    z, begun = np.zeros((8, spec.space.size)), list[Problem]()
+    met = training(spec, spec.tune.train_seeds)
+    whole = problem_of(spec, met, spectral=spec.on_arm, begun=begun.append)
+    (first,) = begun
+    assert kind_of(first._arguments(z, 1.0)) == kind_of(whole._arguments(z, 1.0))
+    assert first.structure == whole.structure
+    if spec.on_arm:
+        assert not np.any(first.data.spectra.heart)
+        assert np.any(whole.data.spectra.heart)
+    assert np.all(first.data.reference.rms == 1.0)
+    assert np.all(whole.data.reference.rms < 1.0)
 
 
 @pytest.mark.oracle

@@ -24,6 +24,14 @@ def test_kinds_are_what_their_names_say() -> None:
     np.testing.assert_allclose(over("cvar", 0.1), VALUES.max(axis=1))
 
 
+@pytest.mark.parametrize("kind", ["mean", "worst", "soft-worst", "cvar"])
+def test_plain_values_have_the_risk_of_traced_ones(kind: Any) -> None:
+    values = VALUES.copy()
+    values[1], values[2, 3] = 0.0, np.nan
+    risk = Risk(kind=kind)
+    np.testing.assert_allclose(risk.over(values), risk.over(jnp.asarray(values)), rtol=1e-14)
+
+
 @pytest.mark.parametrize("share", [0.1, 0.25, 0.37, 0.9])
 def test_cvar_is_the_minimum_of_rockafellar_and_uryasev(share: float) -> None:
     """CVaR = min over t of t + mean(max(x − t, 0))/share, whose minimum lies at one of the values."""

@@ -43,6 +43,14 @@ def test_bounds_are_never_left(name: str) -> None:
     assert np.isfinite(at_bounds).all()
 
 
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_plain_numbers_have_the_values_of_traced_ones(name: str) -> None:
+    axis, z = axis_of(name, None, False), np.linspace(-40.0, 40.0, 81)
+    plain = axis.value(z)
+    assert isinstance(plain, np.ndarray)
+    np.testing.assert_allclose(plain, axis.value(jnp.asarray(z)), rtol=1e-14)  # two libraries' exponentials
+
+
 def test_a_bound_of_zero_makes_the_axis_linear() -> None:
     axis = axis_of("K2", (0.0, 100.0), False)
     assert float(axis.value(jnp.asarray(axis.unconstrained(40.0)))) == pytest.approx(40.0)

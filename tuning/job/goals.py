@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -14,6 +13,7 @@ from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS, METRICS, Metric, Quantity
 from jaxmpc.stability import Margins
+from jaxmpc.xla.plain import library
 
 RATIO = "ratio"
 OVERSHOOT = "overshoot"
@@ -48,14 +48,15 @@ GOALS: Mapping[str, Quantity] = {**MARGINS, **MEASURED}
 class MarginGoals(NamedTuple):
     """How a loop stands to its margins."""
 
-    normalised: Float[Array, "goals ..."]
+    normalised: Float[Array | np.ndarray, "goals ..."]
     """Value/limit of a ceiling such as M_s, else limit/value [-]: at most 1 where met, ∞ where unstable."""
-    inverse: Float[Array, "goals ..."]
+    inverse: Float[Array | np.ndarray, "goals ..."]
     """Its inverse [-]: at least 1 where met, 0 where unstable."""
-    violation: Float[Array, "..."]
+    violation: Float[Array | np.ndarray, "..."]
     """What is to be brought to zero [-], summed over goals and stiffness; see `margin_goals`."""
 
 
+@np.errstate(divide="ignore", invalid="ignore")
 def margin_goals(margins: Margins, limits: Mapping[str, Any], headroom: float = 0.0) -> MarginGoals:
     r"""Margins of one controller over its stiffnesses, stability first; traceable, differentiable.
 
@@ -70,17 +71,19 @@ def margin_goals(margins: Margins, limits: Mapping[str, Any], headroom: float = 
         limits: Limit per goal, a key of `MARGINS`.
         headroom: How far inside its limit a goal is aimed at [-].
     """
-    none = jnp.zeros((0, *margins.M_s.shape))
+    xp = library(margins, limits)
+    none = xp.zeros((0, *margins.M_s.shape))
     values = {name: getattr(margins, name) for name in limits}
     rows = [limit / values[name] if MARGINS[name].ceiling else values[name] / limit for name, limit in limits.items()]
-    inverse = jnp.stack(rows) if rows else none
+    inverse = xp.stack(rows) if rows else none
     stable = margins.spectral_radius < 1.0
-    inverse = jnp.where(stable, inverse, 0.0)
-    missed = jnp.sum(jnp.maximum(1.0 - inverse + headroom, 0.0))
-    outside = jnp.sum(jnp.maximum(jnp.log(margins.spectral_radius), 0.0)) + inverse.size
-    return MarginGoals(1.0 / inverse, inverse, jnp.where(jnp.all(stable), missed, outside))
+    inverse = xp.where(stable, inverse, 0.0)
+    missed = xp.sum(xp.maximum(1.0 - inverse + headroom, 0.0))
+    outside = xp.sum(xp.maximum(xp.log(margins.spectral_radius), 0.0)) + inverse.size
+    return MarginGoals(1.0 / inverse, inverse, xp.where(xp.all(stable), missed, outside))
 
 
+@np.errstate(divide="ignore", invalid="ignore")
 def run_goals(
     metrics: Metrics, reference: Metrics, overshoot: Any, limits: Mapping[str, Any]
 ) -> dict[str, Float[Array | np.ndarray, "... stiffness scenarios axes"]]:
@@ -96,6 +99,7 @@ def run_goals(
     Returns:
         Value over limit per goal [-], each (…, stiffness, scenarios, 1 or 3).
     """
+    xp = library(metrics, reference, overshoot, limits)
     found = {}
     for name, limit in limits.items():
         if name == OVERSHOOT:
@@ -105,9 +109,9 @@ def run_goals(
         cells = getattr(metrics, metric.name)
         if part == RATIO:
             before = getattr(reference, metric.name)
-            known = jnp.isfinite(before) & (before > 0.0)
-            more = jnp.where((before == 0.0) & (cells > 0.0), jnp.inf, 0.0 * cells)  # NaN stays NaN
-            cells = jnp.where(known, cells / jnp.where(known, before, 1.0), more)
+            known = xp.isfinite(before) & (before > 0.0)
+            more = xp.where((before == 0.0) & (cells > 0.0), np.inf, 0.0 * cells)  # NaN stays NaN
+            cells = xp.where(known, cells / xp.where(known, before, 1.0), more)
         elif part:
             place = AXES.index(part)
             cells = cells[..., place : place + 1]

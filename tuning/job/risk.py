@@ -1,13 +1,15 @@
 """One number for many scenarios: how much the bad ones count."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
 import msgspec
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmpc.xla.extremes import greatest
+from jaxmpc.xla.plain import library
 
 ORDER = 24
 """Order of the mean that stands for the worst case: equal to it where all cells are, 10 % below for one of 12 alone."""
@@ -22,29 +24,32 @@ class Risk(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     share: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.25
     """That part, of "cvar" alone [-]."""
 
-    def over(self, values: Float[Array, "... scenarios"]) -> Float[Array, "..."]:
-        """The risk of positive values along the last dimension; traceable, differentiable."""
+    def over(self, values: Float[Array | np.ndarray, "... scenarios"]) -> Any:
+        """The risk of positive values along the last dimension, (…); traceable, differentiable."""
         match self.kind:
             case "mean":
-                return jnp.mean(values, axis=-1)
+                return library(values).mean(values, axis=-1)
             case "worst":
-                return greatest(values)
+                return greatest(jnp.asarray(values))
             case "soft-worst":
                 return soft_worst(values)
             case "cvar":
-                return _worst_part(values, self.share)
+                return _worst_part(jnp.asarray(values), self.share)
 
 
-def soft_worst(values: Float[Array, "... cells"]) -> Float[Array, "..."]:
+@np.errstate(invalid="ignore")
+def soft_worst(values: Float[Array | np.ndarray, "... cells"]) -> Any:
     """Mean of order `ORDER` along the last dimension: a maximum whose slope moves smoothly between cells.
 
     NaN where a cell is, whose run was lost.
     """
-    highest = jax.lax.stop_gradient(jnp.max(values, axis=-1, keepdims=True))
-    highest = jnp.where(highest == 0.0, 1.0, highest)
-    mean = jnp.mean((values / highest) ** ORDER, axis=-1)
-    safe = jnp.where(mean == 0.0, 1.0, mean)
-    return highest[..., 0] * jnp.where(mean == 0.0, 0.0, safe ** (1.0 / ORDER))
+    xp = library(values)
+    highest = xp.max(values, axis=-1, keepdims=True)
+    highest = jax.lax.stop_gradient(highest) if xp is jnp else highest
+    highest = xp.where(highest == 0.0, 1.0, highest)
+    mean = xp.mean((values / highest) ** ORDER, axis=-1)
+    safe = xp.where(mean == 0.0, 1.0, mean)
+    return highest[..., 0] * xp.where(mean == 0.0, 0.0, safe ** (1.0 / ORDER))
 
 
 def _worst_part(values: Array, share: float) -> Array:

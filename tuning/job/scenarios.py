@@ -125,10 +125,15 @@ def scenarios(base: Experiment, settings: Scenarios, seeds: Sequence[int]) -> li
 
 def scene_over(experiments: Sequence[Experiment], swinging: bool = True) -> ScenarioData:
     """Several scenarios of one experiment as one scene, each with axes of its own; rest as for `scenario_data`."""
-    return side_by_side([_data(experiment, swinging, jax.config.jax_enable_x64) for experiment in experiments])
+    return _joined(tuple(experiments), swinging, jax.config.jax_enable_x64)
 
 
-@lru_cache(maxsize=KEPT)  # what is compiled ahead for a proof is met again in it
+@lru_cache(maxsize=2)  # what is compiled ahead for a proof is met again in it: in validation, and held out
+def _joined(experiments: tuple[Experiment, ...], swinging: bool, in_float64: bool) -> ScenarioData:
+    return side_by_side([_data(experiment, swinging, in_float64) for experiment in experiments])
+
+
+@lru_cache(maxsize=KEPT)  # scenes share scenarios
 def _data(experiment: Experiment, swinging: bool, _in_float64: bool) -> ScenarioData:
     return scenario_data(experiment, swinging)
 

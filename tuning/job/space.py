@@ -16,10 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy.special import expit
 
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 from jaxmpc.synthesis.params import Params
-from jaxmpc.xla.place import on_cpu
+from jaxmpc.xla.plain import library
 
 Bounds = tuple[float, float]
 EDGE = 1e-3
@@ -84,11 +85,13 @@ class FreeParameter(NamedTuple):
         """How many unconstrained numbers it takes."""
         return max(self.length, 1)
 
-    def value(self, z: Array) -> Array:
-        """Parameter value of unconstrained numbers."""
+    def value(self, z: Any) -> Any:
+        """Parameter value of unconstrained numbers; traceable of JAX's, and of NumPy's without a program."""
         low, room = self._room()
-        along = low + room * jax.nn.sigmoid(4.0 * self.scale / room * z)
-        return jnp.exp(along) if self.log else along
+        xp = library(z)
+        sigmoid = jax.nn.sigmoid if xp is jnp else expit
+        along = low + room * sigmoid(4.0 * self.scale / room * z)
+        return xp.exp(along) if self.log else along
 
     def unconstrained(self, value: Any) -> np.ndarray:
         """The inverse of `value`, a little inside of the bounds."""
@@ -127,8 +130,8 @@ class SearchSpace:
         """Which numbers of z count samples."""
         return np.repeat([axis.whole for axis in self.axes], [axis.size for axis in self.axes])
 
-    def decode(self, z: Float[Array, " size"], width: Any) -> Params:
-        """Parameters of one vector; traceable.
+    def decode(self, z: Float[Array | np.ndarray, " size"], width: Any) -> Params:
+        """Parameters of one vector; traceable of JAX's, and of NumPy's without a program.
 
         Without a guard, whatever the base has: what takes the gain back while a loop swings would hide the swing
         from a tuner.
@@ -148,11 +151,10 @@ class SearchSpace:
         moved = tuple(_moved(knot, values, width) for knot, values in zip(self.base.knots, knots, strict=True))
         return replace(_moved(self.base, own, width), guarded=False, knots=moved)
 
-    @on_cpu()
     def values(self, z: np.ndarray) -> np.ndarray:
         """Engineering values of vectors along the last dimension, horizons not rounded."""
-        parts = [axis.value(jnp.asarray(z[..., part])) for axis, part in zip(self.axes, self._parts, strict=True)]
-        return np.asarray(jnp.concatenate(parts, axis=-1))
+        parts = [axis.value(z[..., part]) for axis, part in zip(self.axes, self._parts, strict=True)]
+        return np.concatenate(parts, axis=-1)
 
     def encode(self, params: Params) -> np.ndarray:
         """The vector of one controller's free parameters."""
@@ -173,19 +175,20 @@ class SearchSpace:
             drawn[:, part] = axis.unconstrained(np.exp(along) if axis.log else along)
         return drawn
 
-    @on_cpu()
     def exact(self, z: np.ndarray) -> Params:
         """The controller that a vector stands for, horizons rounded, as plain arrays; guarded if the base is."""
-        plain: Params = jax.tree.map(np.asarray, self.decode(jnp.asarray(z), 1.0))
+        plain: Params = jax.tree.map(np.asarray, self.decode(z, 1.0))
         return replace(plain, guarded=self.base.guarded)
 
 
 def _moved(params: Params, values: dict[str, Any], width: Any) -> Params:
     """One controller with some parameters replaced, its horizons whole where the width is 1."""
-    found: dict[str, Any] = {name: jnp.asarray(value, jnp.float64) for name, value in params.numbers.items()} | values
-    whole = {name: jnp.round(found[name]) for name in HORIZONS}
-    whole["Hu"] = jnp.minimum(whole["Hu"], whole["Hp"])
-    found |= {name: jnp.where(width > 1.0, found[name], whole[name]) for name in HORIZONS}
+    found = params.numbers | values
+    xp = library(found, width)
+    found = {name: xp.asarray(value, np.float64) for name, value in found.items()}
+    whole = {name: xp.round(found[name]) for name in HORIZONS}
+    whole["Hu"] = xp.minimum(whole["Hu"], whole["Hp"])
+    found |= {name: xp.where(width > 1.0, found[name], whole[name]) for name in HORIZONS}
     return replace(params, **found)
 
 

@@ -84,9 +84,9 @@ def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> float:
     if np.isnan(largest).any():
         return np.inf
     if spec.params.listening is None:
-        return float(spec.risk.over(jnp.asarray(largest.max(axis=0))))
+        return float(spec.risk.over(largest.max(axis=0)))
     # A knot serves its own tissue, so each counts, as in the search.
-    return float(np.exp(np.mean(np.log(np.asarray(spec.risk.over(jnp.asarray(largest)))))))
+    return float(np.exp(np.mean(np.log(np.asarray(spec.risk.over(largest))))))
 
 
 def compile_ahead(controllers: Sequence[Params], experiments: Sequence[Experiment], engine: str | None = None) -> None:

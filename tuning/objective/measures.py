@@ -1,7 +1,7 @@
 """What is measured of the closed loops of a job, in time or from spectra, and their margins."""
 
 from collections.abc import Mapping
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -28,6 +28,8 @@ from jaxmpc.stability.loop import contact_of, contacts_of, each_its_own
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath
+from jaxmpc.xla import store
+from jaxmpc.xla.shared import JitShared
 from tuning.job.risk import Risk
 from tuning.job.space import FreeParameter
 
@@ -157,9 +159,18 @@ def overshoot_of(loops: ClosedLoops, data: Data, structure: ProblemStructure) ->
     return jnp.maximum(run.metrics.peak_force[..., 0] - 1.0, 0.0)
 
 
-@partial(jax.jit, static_argnames=("structure",))
 def measure(params: Params, data: Data, structure: ProblemStructure) -> Metrics:
     """What is measured of one controller, (stiffness, scenarios, 3)."""
+    found: Metrics = _measuring(structure)(params, data)
+    return found
+
+
+@cache
+def _measuring(structure: ProblemStructure) -> JitShared:
+    return JitShared(partial(store.kept_or_plain, _measured, {"structure": structure}))
+
+
+def _measured(params: Params, data: Data, structure: ProblemStructure) -> Metrics:
     one = jax.tree.map(lambda leaf: leaf[None], params)
     loops = close_loops(one, data.scene.stiffness, data.scene.path)
     cells: Metrics = jax.tree.map(lambda leaf: leaf[0], cells_of(loops, data, structure))

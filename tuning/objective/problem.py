@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
-from jaxmpc.engine.base import ProgramSpec
+from jaxmpc.engine.base import ProgramSpec, ScenarioData
 from jaxmpc.engine.registry import fastest, named
 from jaxmpc.engine.scenario import program_spec
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.loop.linear import HIGHEST_FORCE
 from jaxmpc.metrics import Metrics
-from jaxmpc.spectra.spectrum import spectrum_of
+from jaxmpc.spectra.spectrum import Spectrum, spectrum_of, stacked
 from jaxmpc.xla.blocks import OverDevices
 from tuning.job.goals import RATIO, RUN_GOALS
 from tuning.job.scenarios import scenarios, scene_over
@@ -57,15 +57,20 @@ class Problem(NamedTuple):
 
     def compile_evaluation(self, starts: int) -> None:
         """Compile `evaluate` for so many starts."""
-        z = np.zeros((starts, SearchSpace(self.data.base, self.structure.axes).size))
-        over_starts(value_alone, self.structure).compile(*self._arguments(z, 1.0))
+        self._compile(value_alone, starts)
 
     def compile_slopes(self, starts: int) -> None:
-        """Compile `differentiate` for so many starts, of spectra that one run corrects (`tuning.proof.gradients`)."""
+        """Compile `differentiate` for so many starts."""
+        self._compile(value_and_gradient, starts)
+
+    def corrected_by_one(self) -> "Problem":
+        """Spectra with a correction that says nothing, as if of one run (`tuning.proof.gradients`): to compile with."""
         factors = jax.tree.map(lambda field: jnp.ones((1, *field.shape)), self.data.reference)
-        corrected = self._replace(data=self.data._replace(correction=factors))
+        return self._replace(data=self.data._replace(correction=factors))
+
+    def _compile(self, function: Callable[..., Values], starts: int) -> None:
         z = np.zeros((starts, SearchSpace(self.data.base, self.structure.axes).size))
-        over_starts(value_and_gradient, self.structure).compile(*corrected._arguments(z, 1.0))
+        over_starts(function, self.structure).compile(*self._arguments(z, 1.0))
 
     def _dealt_out(self, function: Callable[..., Values], z: np.ndarray, width: float) -> Values:
         values: Values = over_starts(function, self.structure)(*self._arguments(z, width))
@@ -116,7 +121,13 @@ def training(spec: TuneSpec, seeds: Sequence[int]) -> list[Experiment]:
     return scenarios(base, spec.scenarios, seeds)
 
 
-def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False, evaluated: bool = False) -> Problem:
+def problem_of(
+    spec: TuneSpec,
+    met: Sequence[Experiment],
+    spectral: bool = False,
+    evaluated: bool = False,
+    begun: Callable[[Problem], object] = lambda _: None,
+) -> Problem:
     """A job as a function of all starts.
 
     Args:
@@ -124,9 +135,11 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
         met: The scenarios.
         spectral: Whether spectra of the scenarios tell of the linear loop what they can, and nothing runs.
         evaluated: Whether it will only be evaluated, not differentiated: by the fastest engine, or the one named.
+        begun: Called with the problem before spectra are read, and before it is known what ratios are taken to: its
+            programs can be compiled.
     """
     swinging = any(name in RUN_GOALS and RUN_GOALS[name].metric.name == "swing" for name in {**spec.soft, **spec.held})
-    scene, spectra = _seen(met, spectral, swinging)
+    scene = _scene(met, spectral, swinging)
     # Scenarios may differ in delay; the linear loop has the experiment's, as the margins do.
     scene = scene._replace(path=replace(scene.path, delay=float(spec.experiment.delay)))
 
@@ -136,11 +149,11 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
 
     world = program_spec(_linear(met[0])) if spectral else engined(met[0])
     structure = ProblemStructure(spec.space.axes, world, spec.tune.precision, spec.risk)
-    cells = (len(scene.stiffness), len(met), 3)
+    ones: Any = np.ones((len(scene.stiffness), len(met), 3))
     judged_at, believed = judged_cells(spec, spectral)
     data = Data(
         scene=scene,
-        spectra=spectra,
+        spectra=stacked([Spectrum.blank()] * len(met)) if spectral else None,
         correction=None,
         base=spec.space.base,
         margins=spec.margin_goals,
@@ -149,14 +162,17 @@ def problem_of(spec: TuneSpec, met: Sequence[Experiment], spectral: bool = False
         judged=spec.experiment.loop_path(spec.ideal),
         judged_at=judged_at,
         believed=believed,
-        reference=Metrics(**dict.fromkeys(Metrics._fields, jnp.ones(cells))),
+        reference=Metrics(**dict.fromkeys(Metrics._fields, ones)),
     )
     data = jax.tree.map(jnp.asarray, data)
+    begun(Problem(data, structure))
+    if spectral:
+        data = data._replace(spectra=_spectra(met))
     if any(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in {**spec.soft, **spec.goals}):
         old = spec.met_before(met)
-        scene, spectra = jax.tree.map(jnp.asarray, _seen(old, spectral, swinging))
         world = structure.world if spectral else engined(old[0])
-        seen_before = data._replace(scene=scene, spectra=spectra)
+        scene = jax.tree.map(jnp.asarray, _scene(old, spectral, swinging))
+        seen_before = data._replace(scene=scene, spectra=_spectra(old) if spectral else None)
         reference = measure(spec.before, seen_before, structure._replace(world=world))
         data = data._replace(reference=reference if spectral else _held(reference))
     return Problem(data, structure)
@@ -198,12 +214,14 @@ def coarser(spec: TuneSpec) -> np.ndarray:
     return np.unique(np.concatenate([spec.experiment.stiffness, spec.judged_at[::COARSER]]))
 
 
-def _seen(met: Sequence[Experiment], spectral: bool, swinging: bool) -> tuple[Any, Any]:
-    """A scene, and the spectra of the scenarios if they are all that is known of them."""
-    if not spectral:
-        return scene_over(met, swinging), None
-    spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, met))
-    return scene_over([_linear(met[0])], False), spectra
+def _scene(met: Sequence[Experiment], spectral: bool, swinging: bool) -> ScenarioData:
+    """A scene; where spectra are all that is known of the scenarios, that of the linear loop."""
+    return scene_over([_linear(met[0])], False) if spectral else scene_over(met, swinging)
+
+
+def _spectra(met: Sequence[Experiment]) -> Spectrum:
+    found: Spectrum = jax.tree.map(jnp.asarray, stacked([*map(spectrum_of, met)]))
+    return found
 
 
 def _linear(experiment: Experiment) -> Experiment:

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -91,19 +90,20 @@ def values_at(problem: Problem, z: np.ndarray, starts: int, easier: Mapping[str,
 def judged_on(problem: Problem, stiffness: float, believed: float = np.nan) -> Problem:
     """The same with all margins judged on one tissue, a family's while it holds K̂; NaN for its fixed gains."""
     data = problem.data
-    held = None if data.believed is None else jnp.full_like(data.believed, believed)
-    return problem._replace(data=data._replace(judged_at=jnp.full_like(data.judged_at, stiffness), believed=held))
+    held = None if data.believed is None else np.full(data.believed.shape, believed)
+    return problem._replace(data=data._replace(judged_at=np.full(data.judged_at.shape, stiffness), believed=held))
 
 
 def on_tissue(problem: Problem, which: int) -> Problem:
     """The same on one of the experiment's tissues alone."""
+    # Plain arrays: JAX would compile each of these small things.
     data = problem.data
 
-    def alone(per_tissue: jax.Array) -> jax.Array:
-        return jnp.broadcast_to(per_tissue[which], per_tissue.shape)
+    def alone(per_tissue: Any) -> np.ndarray:
+        return np.broadcast_to(np.asarray(per_tissue)[which], per_tissue.shape)
 
-    def factors_alone(per_row: jax.Array) -> jax.Array:
-        return jnp.broadcast_to(per_row[:, which : which + 1], per_row.shape)
+    def factors_alone(per_row: Any) -> np.ndarray:
+        return np.broadcast_to(np.asarray(per_row)[:, which : which + 1], per_row.shape)
 
     scene = data.scene._replace(stiffness=alone(data.scene.stiffness))
     data = data._replace(
@@ -114,8 +114,8 @@ def on_tissue(problem: Problem, which: int) -> Problem:
     return judged_on(problem._replace(data=data), *[float(scene.stiffness[0])] * 2)
 
 
-def _moved(problem: Problem, name: str, easier: np.ndarray) -> jax.Array:
+def _moved(problem: Problem, name: str, easier: np.ndarray) -> np.ndarray:
     """Limits that are so many times as easy to meet."""
-    limit = (problem.data.margins if name in problem.data.margins else problem.data.hard)[name]
-    # Of the very type of the job's limit, so that the program stays the same.
-    return jnp.stack([limit * factor if GOALS[name].ceiling else limit / factor for factor in easier.tolist()])
+    limit = np.asarray((problem.data.margins if name in problem.data.margins else problem.data.hard)[name])
+    found: np.ndarray = limit * easier if GOALS[name].ceiling else limit / easier
+    return found

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxmpc.law.gains import Gains
 from jaxmpc.spectra.residual import Parts, residual_parts, residual_rms
-from jaxmpc.spectra.spectrum import Spectrum, spectrum_of
+from jaxmpc.spectra.spectrum import Spectrum, spectrum_of, stacked
 from jaxmpc.stability.family import gains_on
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.world.loop_path import LoopPath
@@ -44,7 +44,7 @@ def split(result: FoundController) -> Split:
     met = training(spec, spec.tune.train_seeds[:MOST])
     found = []
     for params, seen in ((spec.before, spec.met_before(met)), (result.params, met)):
-        spectra = jax.tree.map(lambda *leaves: np.stack(leaves), *map(spectrum_of, seen))
+        spectra = stacked([*map(spectrum_of, seen)])
         gains, K2 = gains_on(params, stiffness, path)
         own = path.with_cutoff(params.velocity_cutoff)
         whole, parts = _parts(gains, K2, stiffness, spectra, own)

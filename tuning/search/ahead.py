@@ -34,7 +34,9 @@ def threads() -> Beside:
     return Beside(min(MOST, max(1, len(os.sched_getaffinity(0)) - 1)))
 
 
-def readied(spec: TuneSpec, own: Problem, pool: Executor, after: Tasks = ()) -> Future[OnArm]:
+def readied(
+    spec: TuneSpec, own: Problem, pool: Executor, after: Callable[[TuneSpec], Tasks] = lambda _: ()
+) -> Future[OnArm]:
     """A job's problems; its programs then go on compiling, and who needs one meanwhile waits for that one.
 
     A program that fails to compile here fails again where it is needed, and is heard of there.
@@ -55,8 +57,8 @@ def readied(spec: TuneSpec, own: Problem, pool: Executor, after: Tasks = ()) -> 
             lambda: found.runs.compile_evaluation(rows),
             lambda: corrected.compile_ahead(spec, found.spectra, rows),
             lambda: found.spectra.compile_evaluation(rows),
-            *after,
-            lambda: found.spectra.compile_slopes(rows),
+            *after(spec),
+            lambda: found.spectra.corrected_by_one().compile_slopes(rows),
         ):
             pool.submit(in_float64(program))
         return found

@@ -1,16 +1,18 @@
 """The way to a controller: a descent from many points; for the arm it is one on spectra, and then the arm runs."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from jaxmpc import margins
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import MARGINS
 from jaxmpc.terminal.progress import progress
+from jaxmpc.xla.place import wake
+from jaxmpc.xla.precision import in_float64
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.ahead import Tasks, readied, threads
@@ -67,11 +69,17 @@ def run_search(
     if folder is not None:
         check_states(folder, [job.digest for job in jobs])
     with threads() as pool:
-        # A GPU takes seconds to begin, as does what reads the heart.
-        pool.submit(jax.devices)
-        problems = [problem_of(job, training(job, job.tune.train_seeds), spectral=job.on_arm) for job in jobs]
+        pool.submit(wake)
+
+        def described(job: TuneSpec) -> Problem:
+            """What the descent descends on; its program compiles from when its shapes are known."""
+            compiled = in_float64(partial(Problem.compile_slopes, starts=_starts(job)))
+            met = training(job, job.tune.train_seeds)
+            return problem_of(job, met, spectral=job.on_arm, begun=partial(pool.submit, compiled))
+
+        problems = [*map(described, jobs)]
         # Of several, nobody knows which will win.
-        ahead = readied(jobs[0], problems[0], pool, after(jobs[0])) if spec.on_arm and len(jobs) == 1 else None
+        ahead = readied(jobs[0], problems[0], pool, after) if spec.on_arm and len(jobs) == 1 else None
         firsts = [proposal(job, problem, folder, show) for job, problem in zip(jobs, problems, strict=True)]
         orders = {
             int(job.params.disturbance_order): float(one.state.best.min())
@@ -80,7 +88,7 @@ def run_search(
         best = int(np.argmin(list(orders.values())))
         job, steps = jobs[best], [firsts[best]]
         if job.on_arm:
-            runs, spectra = (ahead or readied(job, problems[best], pool, after(job))).result()
+            runs, spectra = (ahead or readied(job, problems[best], pool, after)).result()
             z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)
             state = refine(job, runs, spectra, z, folder, _file("mapping", job), show)
             steps.append(Step("mapping", runs, state, spectra))
@@ -89,7 +97,7 @@ def run_search(
 
 def proposal(spec: TuneSpec, problem: Problem, folder: Path | None, show: bool) -> Step:
     """The descent: from the given parameters and from random ones, horizons first soft."""
-    z = screened(spec, problem, COARSE * spec.tune.starts if spec.on_arm else spec.tune.starts, show)
+    z = screened(spec, problem, _starts(spec), show)
     soft = bool(spec.space.whole.any())
     plan = schedule(spec.tune.steps, soft, spec.tune.learning_rate)
     name, file = ("spectra", "spectra") if spec.on_arm else ("linear", "")
@@ -139,6 +147,11 @@ def _check_fixed(spec: TuneSpec) -> None:
             value = f"{name} = {goal.worst(values):.4g} at {K_s:.4g} N/m"
             remedy = 'They stay as they are: tune them by themselves first, or take published = "cautious".'
             raise InputError("params", value, f"{goal.sign} {goal.amount(limit)} with its fixed gains", remedy)
+
+
+def _starts(spec: TuneSpec) -> int:
+    """How many descend."""
+    return COARSE * spec.tune.starts if spec.on_arm else spec.tune.starts
 
 
 def _file(name: str, spec: TuneSpec) -> str:
