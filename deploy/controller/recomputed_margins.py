@@ -29,8 +29,8 @@ SAME: Mapping[str, tuple[float, float]] = {
 }
 """Relative and absolute difference up to which two values count as the same: a delay of part of a sample is taken as a
 pure one here, and a narrow resonance may lie between the points of the grid."""
-LOWEST, POINTS = 1e-3, 500
-"""Angles θ = ω T_s from there to π, log-spaced [rad]; features between them are zoomed in on."""
+ANGLES = np.append(np.geomspace(1e-6, 1e-3, 45, endpoint=False), np.geomspace(1e-3, math.pi, 500))
+"""Angles θ = ω T_s, as low as the design looks (`stability.crossings`) [rad]; features between are zoomed in on."""
 ZOOMED, ZOOMS = 17, 4
 TIP = 7
 """Numbers that the tip remembers: position, velocity, displacement, both measurements and two commands."""
@@ -161,10 +161,10 @@ def _numbers(state: cascade.AxisState) -> list[float]:
 
 
 def _margins(loop: OpenLoop, T_s: float) -> dict[str, float]:
-    theta = np.geomspace(LOWEST, math.pi, POINTS)
+    theta = ANGLES
     L = loop.response(theta)
     peak = int(np.argmin(np.abs(1.0 + L)))
-    M_s = 1.0 / _least(loop, theta[max(peak - 1, 0)], theta[min(peak + 1, POINTS - 1)])
+    M_s = 1.0 / _least(loop, theta[max(peak - 1, 0)], theta[min(peak + 1, len(theta) - 1)])
     real = [_zoomed(loop, theta[i], theta[i + 1], np.imag) for i in _changes(np.imag(L))] + [math.pi]
     at_real = np.real(loop.response(np.array(real)))
     crossing = [_zoomed(loop, theta[i], theta[i + 1], _size) for i in _changes(_size(L))]

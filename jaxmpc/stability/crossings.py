@@ -21,13 +21,15 @@ Scalar = Float[Array, ""]
 Loop = Callable[..., Complex[Array, "..."]]
 """L(θ [rad], added delay [samples]) of the negative feedback 1 + L, elementwise in the angle θ = ω T_s."""
 
-POINTS = 240
-"""Angles searched, 3.9 % apart up to the Nyquist frequency, then refined to the last bit."""
+SLOW, POINTS = 12, 252
+"""Angles searched, the first so many below `CLOSELY`; above it they are 3.9 % apart up to the Nyquist frequency. What
+they show is refined to the last bit."""
 BENDS, PARTS = 4, 16
 """Places looked at more closely, where the curve bends most, and in how many parts each: a resonance may be narrower
 than the angles are apart, and rise and fall between two of them."""
-LOWEST = 2.0 * pi * 5e-5
-"""Lowest angle searched [rad]: 0.05 Hz at 1 kHz."""
+LOWEST, CLOSELY = 1e-6, 2.0 * pi * 5e-5
+"""Lowest angle searched, and from which on closely [rad]: 0.16 mHz and 0.05 Hz at 1 kHz. Between them the slowest
+observers alone turn a loop, without resonance: with the least `Q_p` at 0.1 ms it crosses the real axis at 7e-5 rad."""
 _ROW = np.append(np.repeat(np.arange(BENDS), PARTS + 1), np.full(POINTS, BENDS))
 _INSIDE = _ROW[2:] == _ROW[:-2]
 """Rows of a `Curve`, and which of its points between the first and the last have a neighbour on either side."""
@@ -89,7 +91,8 @@ class Curve(NamedTuple):
 
 def search_angles() -> Float[Array, " angles"]:
     """Angles at which every loop is looked at [rad]."""
-    return LOWEST * (pi / LOWEST) ** jnp.linspace(0.0, 1.0, POINTS)
+    slow = LOWEST * (CLOSELY / LOWEST) ** jnp.linspace(0.0, 1.0, SLOW, endpoint=False)
+    return jnp.append(slow, CLOSELY * (pi / CLOSELY) ** jnp.linspace(0.0, 1.0, POINTS - SLOW))
 
 
 def _curve(loop: Loop) -> Curve:
@@ -98,6 +101,8 @@ def _curve(loop: Loop) -> Curve:
     response = loop(theta)
     ratio, size = response[1:] / response[:-1], jnp.abs(response[1:-1])
     bend = jnp.abs(ratio[1:] - ratio[:-1]) * size / (1.0 + size**2)
+    # Where wide steps meet narrow ones ratios of any curve change.
+    bend = jnp.where(jnp.arange(1, POINTS - 1) > SLOW, bend, -1.0)
     sharpest = []
     for _ in range(BENDS):
         sharpest.append(1 + jnp.argmax(bend))

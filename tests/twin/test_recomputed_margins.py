@@ -44,6 +44,14 @@ def test_they_are_those_of_the_design(frozen, params, experiment, ideal, delay):
 
 
 @pytest.mark.oracle
+def test_so_are_those_of_a_slow_observer(frozen):
+    """Its answer crosses the real axis at 4e-4 rad and below."""
+    artifact = frozen("text", "table-1", Q_p=1e-11)
+    assert all(20.0 < row["gain_reduction_db"] < 80.0 for row in artifact.margins)
+    assert differences(artifact) == []
+
+
+@pytest.mark.oracle
 def test_on_any_stiffness_they_are_those_of_the_public_function(frozen):
     artifact = frozen("text")
     for stiffness in np.geomspace(60.0, 9000.0, 12).tolist():
