@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -188,7 +189,8 @@ def _check_scores(factors: list[Factor], data: Mapping[str, Any]) -> None:
 
 def _check_controllers(factors: list[Factor], params: Params) -> None:
     """Refuse points of factors that make no controller with the base; horizons that cross are left out of a sweep."""
-    for axes, entries in _points(factors, lambda axis: not axis.of_world and axis.name not in HORIZONS):
+    params = replace(params, Hu=1)
+    for axes, entries in _points(factors, lambda axis: not axis.of_world and axis.name != "Hu"):
         columns = {axis.name: np.array([entry]) for axis, entry in zip(axes, entries, strict=True)}
         with _told_of(axes, entries):
             list(meetings(params, axes, columns, by_world=False))

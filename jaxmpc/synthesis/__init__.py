@@ -24,6 +24,7 @@ from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
 from jaxmpc.synthesis.sampling import check_sampling
 from jaxmpc.synthesis.timing import Timing
+from jaxmpc.synthesis.values import least_horizon
 from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
@@ -60,8 +61,8 @@ def design_one(
     observer = input_noise_gain if p.architecture == "mpc" else active
     K, residual = observer(Phi, Gamma, p.Q_x, p.Q_p, p.R, delay=p.designed_delay)
     K, K_earlier = (K, None) if p.designed_delay == 1 else (jnp.concatenate([K[:2], K[3:]]), K[2])
-    # Traced values pass no check; without a sample to predict there is no design, whatever the masks make of it.
-    residual = jnp.where((p.Hp >= 1.0) & (p.Hu >= 1.0), residual, jnp.inf)
+    # Traced values pass no check; without a sample that a command changes there is no design, whatever the masks do.
+    residual = jnp.where((p.Hp >= least_horizon(p.architecture)) & (p.Hu >= 1.0), residual, jnp.inf)
     phi = jnp.stack([Phi[0, 1], Phi[1, 1]])
     zero, one = jnp.zeros_like(p.T_cl), jnp.ones_like(p.T_cl)
 

@@ -87,7 +87,8 @@ class Params(eqx.Module, ParameterValues):
                 found, wanted = (f"of the batch {shape}" if shape else "one controller" for shape in (own, batch))
                 raise InputError("knots", found, f"{wanted}, as [params]", "Stack whole families with Params.stack.")
         known = {name: value for name, value in arrays.items() if not isinstance(value, jax.core.Tracer)}
-        check_values(jax.device_get(known), {each.name: each.default for each in fields(self)}, len(batch))
+        typical = {each.name: each.default for each in fields(self)}
+        check_values(jax.device_get(known), typical, len(batch), self.architecture)
 
     def _check_knots(self) -> None:
         if not isinstance(self.listening, Listening | None):

@@ -79,13 +79,21 @@ def batch_of(values: Mapping[str, Any]) -> tuple[int, ...]:
     return batch
 
 
-def check_values(values: Mapping[str, np.ndarray], typical: Mapping[str, Any], batch: int) -> None:
+def least_horizon(architecture: str) -> int:
+    """Shortest H_p within which a command does something [samples]; MPC alone predicts its delay, too."""
+    return 2 if architecture == "mpc" else 1
+
+
+def check_values(
+    values: Mapping[str, np.ndarray], typical: Mapping[str, Any], batch: int, architecture: str = "mpc-aob"
+) -> None:
     """Refuse values that no controller can have; works on whole batches.
 
     Args:
         values: An array of each parameter whose values are known, in its unit.
         typical: A value of each, for the remedy.
         batch: How many leading dimensions are the batch's.
+        architecture: Of all of them.
 
     Raises:
         InputError: Names the parameter, the first wrong value, the bound and the remedy.
@@ -105,19 +113,28 @@ def check_values(values: Mapping[str, np.ndarray], typical: Mapping[str, Any], b
         row = np.flatnonzero(np.ravel(values["Hu"] > values["Hp"]))[0]
         hu, hp = np.ravel(values["Hu"])[row], np.ravel(values["Hp"])[row]
         raise InputError("Hu", f"{hu:g}", f"in [1, Hp (= {hp:g})] samples", "Lower Hu or raise Hp.")
+    first = least_horizon(architecture)
+    if "Hp" in values and (values["Hp"] < first).any():
+        remedy = "Raise Hp: a command acts only on later samples, so that nothing is controlled."
+        raise InputError(
+            "Hp", f"{values['Hp'].min():g}", f"at least {first} with the architecture {architecture!r}", remedy
+        )
     delta = values.get("delta")
     if delta is None:
         return
-    nowhere = ~np.any(_predicted(delta, values.get("Hp"), batch), axis=tuple(range(batch, delta.ndim)))
+    nowhere = ~np.any(_predicted(delta, values.get("Hp"), batch, first), axis=tuple(range(batch, delta.ndim)))
     if nowhere.any():
         row = np.flatnonzero(nowhere)[0]
-        reach = f" within Hp (= {np.ravel(values['Hp'])[row]:g})" if "Hp" in values else ""
+        reach = f" from sample {first} on" if first > 1 and delta.ndim > batch else ""
+        reach += f" within Hp (= {np.ravel(values['Hp'])[row]:g})" if "Hp" in values else ""
         remedy = "Without weight on the force error nothing is controlled."
         raise InputError("delta", 0.0, f"positive somewhere{reach}", remedy)
 
 
-def _predicted(delta: np.ndarray, Hp: np.ndarray | None, batch: int) -> np.ndarray:
-    """Weights on errors that the horizon reaches, where it is known: the others control nothing."""
-    if Hp is None or delta.ndim == batch:
+def _predicted(delta: np.ndarray, Hp: np.ndarray | None, batch: int, first: int) -> np.ndarray:
+    """Weights on errors that commands change and the horizon, where it is known, reaches: others control nothing."""
+    if delta.ndim == batch:
         return delta
-    return np.where(np.arange(1, delta.shape[-1] + 1) <= np.asarray(Hp)[..., None], delta, 0.0)
+    sample = np.arange(1, delta.shape[-1] + 1)
+    within = sample <= (np.inf if Hp is None else np.asarray(Hp)[..., None])
+    return np.where(within & (sample >= first), delta, 0.0)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmpc import InputError, Params, margins
+from jaxmpc import InputError, Params, Status, design, margins
 from jaxmpc.quantities import HP_MAX
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.timing import Timing
@@ -17,6 +17,8 @@ from jaxmpc.synthesis.timing import Timing
 BATCH = Params.stack([Params(), Params()])
 BEYOND = np.where(np.arange(HP_MAX) < 30, 0.0, 0.9)
 """Weights on errors beyond the default H_p alone."""
+FIRST = np.where(np.arange(HP_MAX) < 1, 0.9, 0.0)
+"""A weight on the first error alone, which no command of MPC alone changes."""
 
 
 @pytest.mark.parametrize(
@@ -30,6 +32,9 @@ BEYOND = np.where(np.arange(HP_MAX) < 30, 0.0, 0.9)
         ({"delta": jnp.zeros(HP_MAX)}, "delta"),
         ({"delta": BEYOND, "Hp": 30}, "delta"),
         ({"delta": jnp.asarray(BEYOND)}, "delta"),
+        ({"architecture": "mpc", "Hp": 1, "Hu": 1}, "Hp"),
+        ({"architecture": "mpc", "delta": FIRST, "Hp": 30}, "delta"),
+        ({"architecture": "mpc", "delta": jnp.asarray(FIRST)}, "delta"),
         ({"Khat_s": np.array([500.0, 900.0])}, "Khat_s"),
         ({"K2": [10.0, 20.0]}, "K2"),
         ({"lam": [0.1, 0.2]}, "lam"),
@@ -86,6 +91,17 @@ def test_weights_within_the_horizon_of_each_controller_count() -> None:
     assert np.asarray(Params(delta=BEYOND, Hp=31).delta)[30] == 0.9
     with pytest.raises(InputError, match=r"delta = 0\.0: must be positive somewhere within Hp \(= 20\)"):
         Params(delta=BEYOND, Hp=40).with_columns({"Hp": [40, 20]})
+
+
+def test_mpc_alone_has_to_see_what_its_commands_do() -> None:
+    """Its prediction holds the delay of a command, so that with H_p = 1 all its gains were 0."""
+    alone = Params(architecture="mpc", Hp=2, Hu=1)
+    assert np.asarray(design(alone).mpc_ref).any()
+    assert np.asarray(design(Params(Hp=1, Hu=1)).mpc_ref).any()
+    with pytest.raises(InputError, match="Hp = 1: must be at least 2 with the architecture 'mpc'"):
+        alone.with_columns({"Hp": [2, 1]})
+    unchecked = jax.jit(lambda Hp: margins(replace(alone, Hp=Hp), 810.0).status)
+    assert unchecked(1.0) == Status.ILL_POSED != unchecked(2.0)
 
 
 def test_shapes_and_other_marks_may_stand_for_numbers() -> None:

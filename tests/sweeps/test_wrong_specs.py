@@ -145,6 +145,7 @@ def test_axes_that_name_nothing_are_refused_in_words(axes: str, write_spec: Writ
         ("lam = { values = [-1.0, 2.0], relative = true }", "sweep.axes.lam = -1"),
         ("settle = [0.5, 1.5]\nduration = [1.0, 2.0]", "sweep.axes.settle = 1.5"),
         ("Hp = { values = [0.5, 1.0], relative = true }", "sweep.axes.Hp.relative"),
+        ('Hu = [1]\nHp = [1, 10]\narchitecture = ["aob", "mpc"]', "sweep.axes.Hp = 1: must be at least 2"),
     ],
 )
 def test_one_bad_value_is_refused_before_it_loses_the_rows_beside_it(

@@ -11,6 +11,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import FILTERS, PARAMETERS
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.values import least_horizon
 from tuning.job.space import KNOTS, Bounds, FreeParameter, axis_of
 
 
@@ -105,6 +106,8 @@ def check_axis(axis: FreeParameter, params: Params) -> None:
     """
     key, row = f"tune.free.{axis.name}", PARAMETERS[axis.parameter]
     (low, high), bounds = row.bounds, [axis.low, axis.high]
+    if axis.parameter == "Hp":
+        low = least_horizon(params.architecture)
     for value in bounds:
         for unit in [axis.counted_in(params, knot) for knot in axis.knots] or [1.0]:
             if not (math.isfinite(value) and low <= value * unit <= high):
