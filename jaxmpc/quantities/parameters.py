@@ -18,7 +18,7 @@ _CUTOFF: SearchRange = (30.0, 3e3, 1.0)
 
 def _array(value: Any) -> Any:
     """Numbers become float64 arrays; what is an array already, traced or not, left open or no number stays as it is."""
-    if value is None or (hasattr(value, "dtype") and not np.isscalar(value)):
+    if value is None or isinstance(value, bool | np.bool_) or (hasattr(value, "dtype") and not np.isscalar(value)):
         return value
     try:
         return np.asarray(value, np.float64)

@@ -77,7 +77,8 @@ class Params(eqx.Module, ParameterValues):
     def _check_numbers(self) -> None:
         for name in PARAMETERS:
             value = getattr(self, name)
-            if isinstance(value, str | list | dict) or (value is None and name not in FILTERS):
+            truth = isinstance(value, bool) or getattr(value, "dtype", None) == np.bool_
+            if truth or isinstance(value, str | list | dict) or (value is None and name not in FILTERS):
                 raise InputError(name, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
         # Other leaves stand for numbers: shapes, axes to be mapped over, marks.
         arrays = self._arrays

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.world.loop_path import check_delay
 
 
 @dataclass(frozen=True)
@@ -26,5 +27,4 @@ class Timing:
         number = isinstance(self.T_s, Real | np.ndarray | jax.Array) and not isinstance(self.T_s, bool)
         if not (number and np.ndim(self.T_s) == 0 and math.isfinite(self.T_s) and 1e-4 <= self.T_s <= 0.1):
             raise InputError("T_s", self.T_s, "in [1e-4, 0.1] s", "The paper's controller runs at 1e-3.")
-        if self.delay not in (1, 2):
-            raise InputError("delay", self.delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")
+        check_delay(self.delay)

@@ -14,12 +14,14 @@ def rows_of(columns: Mapping[str, Any]) -> int:
     """Length that columns share.
 
     Raises:
-        InputError: There is none, a name is unknown, or a column has another shape.
+        InputError: There is none, a name is unknown, a column has another shape, or holds truth values.
     """
     rows = 0
     for name, column in columns.items():
         if name not in PARAMETERS:
             raise InputError(name, "a column", "of a known parameter", nearest(name, list(PARAMETERS)))
+        if np.asarray(column).dtype == bool:
+            raise InputError(name, column, "numbers", f"Their unit is [{PARAMETERS[name].unit}].")
         shape, entries = np.shape(column), PARAMETERS[name].entries
         rows = rows or (shape[0] if shape else 0)
         if not rows or shape not in [(rows,), (rows, entries)][: 1 + bool(entries)]:

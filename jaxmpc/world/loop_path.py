@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import numpy as np
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.force_filter import ForceFilter
@@ -44,6 +45,17 @@ class LoopPath(eqx.Module):
         return self if velocity_cutoff is None else replace(self, velocity_cutoff=velocity_cutoff)
 
 
+def check_delay(delay: Any) -> None:
+    """Refuse what is no delay of a loop [samples].
+
+    Raises:
+        InputError: It is not 1 or 2.
+    """
+    given = np.asarray(delay)
+    if given.ndim or given.dtype.kind not in "iuf" or given not in (1, 2):
+        raise InputError("delay", delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")
+
+
 def loop_path(
     T_s: float = 1e-3,
     delay: int = 1,
@@ -67,8 +79,7 @@ def loop_path(
     Raises:
         InputError: The delay is not 1 or 2.
     """
-    if delay not in (1, 2):
-        raise InputError("delay", delay, "1 or 2 samples", "Longer delays are judged by the delay margin.")
+    check_delay(delay)
     if lowpass_hz is None:
         lowpass_hz = 0.0 if ideal else SENSOR_LOWPASS_HZ
     return LoopPath(T_s, float(delay), velocity_cutoff, hertz(lowpass_hz), ideal, force_filter)

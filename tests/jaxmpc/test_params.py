@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmpc import InputError, Params, Status, design, margins
+from jaxmpc import Experiment, InputError, Params, Status, design, margins
 from jaxmpc.quantities import HP_MAX
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.timing import Timing
+from jaxmpc.world.loop_path import loop_path
 
 BATCH = Params.stack([Params(), Params()])
 BEYOND = np.where(np.arange(HP_MAX) < 30, 0.0, 0.9)
@@ -40,6 +41,9 @@ FIRST = np.where(np.arange(HP_MAX) < 1, 0.9, 0.0)
         ({"lam": [0.1, 0.2]}, "lam"),
         ({"K2": None}, "K2"),
         ({"K2": "fast"}, "K2"),
+        ({"K2": np.True_}, "K2"),
+        ({"Hu": True}, "Hu"),
+        ({"Hu": jnp.asarray(True)}, "Hu"),
         ({"lam": [0.1, "a"]}, "lam"),
         ({"delta": {"first": 0.9}}, "delta"),
         ({"listening": 3}, "listening"),
@@ -74,6 +78,20 @@ def test_any_sequence_of_stiffnesses_is_one_of_floats(stiffness: Any) -> None:
 def test_no_controller_samples_so(T_s: Any) -> None:
     with pytest.raises(InputError, match=r"T_s = .*: must be in \[1e-4, 0\.1\] s"):
         Timing(T_s=T_s)
+
+
+@pytest.mark.parametrize("delay", [True, np.True_, 1.5, 3, "1", None, [1], np.array([1, 2])])
+def test_no_loop_is_late_by_such(delay: Any) -> None:
+    for late in (loop_path, Timing, lambda delay: margins(Params(), 810.0, delay=delay)):
+        with pytest.raises(InputError, match=r"delay = .*: must be 1 or 2 samples"):
+            late(delay=delay)
+    with pytest.raises(InputError, match="delay"):
+        _ = Experiment(delay=delay).within_bounds
+
+
+@pytest.mark.parametrize("delay", [1, 2.0, np.int64(2), np.array(1)])
+def test_whole_numbers_of_samples_are_taken_of_any_kind(delay: Any) -> None:
+    assert float(loop_path(delay=delay).delay) == float(Timing(delay=delay).delay) == delay
 
 
 def test_what_is_known_is_checked_beside_what_is_traced() -> None:
@@ -119,6 +137,7 @@ def test_shapes_and_other_marks_may_stand_for_numbers() -> None:
             r"K2 = an array of the shape \(\): must be of the shape \(2,\).* with_columns",
         ),
         (lambda: BATCH.with_columns({"lam": [1.0, 2.0]}), r"a batch \(2,\): must be one controller"),
+        (lambda: Params().with_columns({"Hu": [True, True]}), r"Hu = \[True, True\]: must be numbers"),
         (lambda: list(Params()), "one controller: must be a batch"),
         (lambda: Params.stack(Params()), "one Params: must be a list of Params"),
         (lambda: Params.stack([]), "empty: must be a list of Params"),
