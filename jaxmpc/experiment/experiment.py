@@ -1,10 +1,12 @@
 """An experiment: stiffness set × heart motion × force reference × imperfections, as a TOML file."""
 
 import hashlib
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
@@ -15,6 +17,7 @@ from jaxmpc.experiment.reference import Reference, wanted_force
 from jaxmpc.experiment.tables import RESOLVED, ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest, plain_name
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
+from jaxmpc.files.toml import check_built, convert, known_keys, located, read_toml, told_by_type
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.quantities import AXES, HP_MAX
 from jaxmpc.synthesis.force_filter import cutoff_of, force_filter
@@ -25,6 +28,10 @@ from jaxmpc.world.loop_path import LoopPath, loop_path
 
 Physics = Literal["linear", "wam", "mjx"]
 Stiffness = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
+TABLES: Mapping[str, type[msgspec.Struct]] = MappingProxyType(
+    {"motion": Motion, "reference": Reference, "sensor": SensorSettings, "tissue": TissueSettings, "arm": ArmSettings}
+)
+"""Tables of an experiment, by their names."""
 
 
 class Signals(NamedTuple):
@@ -71,12 +78,15 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     arm: ArmSettings = ArmSettings()
 
     def __post_init__(self) -> None:
-        try:
+        for name, kind in TABLES.items():
+            if not isinstance(table := getattr(self, name), kind):
+                article = "an" if kind.__name__[0] in "AEIOU" else "a"
+                remedy = "`Experiment.from_dict` takes tables for them."
+                raise InputError(name, table, f"{article} {kind.__name__}", remedy)
+        if not isinstance(self.stiffness, tuple | list):
+            raise InputError("stiffness", self.stiffness, "a tuple of numbers [N/m]", "Write (810.0,) for one.")
+        with told_by_type(self):
             self._check_together()
-        except (TypeError, AttributeError):
-            # Of a file types have been checked before; in Python a value of another type gets as far as here.
-            _ = self.within_bounds
-            raise
 
     def _check_together(self) -> None:
         """Refuse values that do not go together."""
@@ -160,8 +170,6 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         Raises:
             InputError: Names file, line, key, value, bound and remedy.
         """
-        from jaxmpc.files.toml import located, read_toml
-
         data = read_toml(path)
         with located(path):
             if not data:
@@ -182,17 +190,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         Raises:
             InputError: A key is unknown, a value of the wrong type or out of bounds, a recording unusable.
         """
-        from jaxmpc.files.toml import convert, known_keys
-
         known_keys(Experiment, data, root)
-        tables: dict[str, type[msgspec.Struct]] = {
-            "motion": Motion,
-            "reference": Reference,
-            "sensor": SensorSettings,
-            "tissue": TissueSettings,
-            "arm": ArmSettings,
-        }
-        for key, kind in tables.items():
+        for key, kind in TABLES.items():
             if isinstance(table := data.get(key), dict):
                 known_keys(kind, table, f"{root}.{key}".lstrip("."))
         experiment: Experiment = convert(data, Experiment, root)
@@ -214,9 +213,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         Raises:
             InputError: A value of the wrong type or out of bounds, with its key as in the TOML file.
         """
-        from jaxmpc.files.toml import convert
-
-        convert(msgspec.to_builtins(self, enc_hook=_plain), Experiment)
+        check_built(self)
         return True
 
     def check_world(self) -> None:
@@ -293,8 +290,3 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         wanted, score = self.scored
         noise = np.random.Generator(np.random.Philox([self.sensor.seed, 1])).standard_normal((self.steps, 3))
         return Signals(self.heart[0], self.sensor.noise * noise, wanted, score)
-
-
-def _plain(value: Any) -> Any:
-    """numpy's numbers as Python's; what is of another kind is told by its name."""
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else f"{value}"

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.toml import told_by_type
 from jaxmpc.law.momentum_observer import FASTEST
 from jaxmpc.law.scalar import Vector
 from jaxmpc.law.transmission import IPNM, MOTOR_TORQUE_LIMIT
@@ -81,8 +82,15 @@ class TissueSettings(_TissueConstants, frozen=True, forbid_unknown_fields=True):
     """Changes of stiffness under way, in order of time."""
 
     def __post_init__(self) -> None:
+        with told_by_type(self, "tissue"):
+            self._check_together()
+
+    def _check_together(self) -> None:
+        """Refuse a law that is none, and changes that are none or out of order."""
         if self.kind not in LAWS:
             raise InputError("tissue.kind", self.kind, "a known law", nearest(self.kind, list(LAWS)))
+        if wrong := [change for change in self.changes if not isinstance(change, Change)]:
+            raise InputError("tissue.changes", wrong[0], "a tuple of Change", "A file has tables for them.")
         begins = [change.at for change in self.changes]
         for k, (first, then) in enumerate(pairwise(begins)):
             if then < first:
@@ -166,6 +174,11 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Its damping ratio [-] (prior 0.03–0.1)."""
 
     def __post_init__(self) -> None:
+        with told_by_type(self, "arm"):
+            self._check_together()
+
+    def _check_together(self) -> None:
+        """Refuse values that do not go together."""
         if self.compensation and self.momentum_observer:
             bound = f"0 beside arm.compensation = {self.compensation:g}"
             remedy = "Cancel friction by one of them: set the other to 0."

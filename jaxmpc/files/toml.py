@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.foreign import read_text, toml_of
@@ -52,6 +53,33 @@ def convert(data: Any, kind: type[T], root: str = "") -> T:
         raise _explain(error, data, kind, root) from None
     except (OverflowError, RecursionError):
         raise InputError(root or "the file", "a huge number", "of 64 bits", "Write 1e30, say.") from None
+
+
+def check_built(built: msgspec.Struct, root: str = "") -> None:
+    """Hold a structure that was built in Python to the types and bounds that a file's values meet when it is read.
+
+    Raises:
+        InputError: A value of the wrong type or out of bounds, with its key as in the TOML file.
+    """
+    convert(msgspec.to_builtins(built, enc_hook=_plain), type(built), root)
+
+
+@contextmanager
+def told_by_type(built: msgspec.Struct, root: str = "") -> Iterator[None]:
+    """Tell by its key a value of another type, on which checks of a structure that was built in Python stumble.
+
+    Of a file types have been checked before.
+    """
+    try:
+        yield
+    except (TypeError, AttributeError):
+        check_built(built, root)
+        raise
+
+
+def _plain(value: Any) -> Any:
+    """numpy's numbers as Python's; what is of another kind is told by its name."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else f"{value}"
 
 
 def _explain(error: msgspec.ValidationError, data: Any, kind: type[msgspec.Struct], root: str) -> InputError:

@@ -1,6 +1,7 @@
 """The published experiments: all load, and each is what its name says."""
 
 import tomllib
+from collections.abc import Callable
 from importlib import resources
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from jaxmpc import Experiment, InputError, Params, evaluate
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment import SensorSettings
-from jaxmpc.experiment.tables import ArmSettings, TissueSettings, softening
+from jaxmpc.experiment.tables import ArmSettings, Change, TissueSettings, softening
 from jaxmpc.world.heart import rhythm, ventilation
 from jaxmpc.world.heart.motion import displacement
 
@@ -195,6 +196,33 @@ def test_what_is_built_in_python_meets_the_bounds_of_its_file(key: str) -> None:
 def test_values_of_another_type_are_told_by_their_key(key: str, value: Any) -> None:
     with pytest.raises(InputError) as refused:
         Experiment(**{"physics": "wam", key: value})
+    assert refused.value.key == key
+
+
+@pytest.mark.parametrize("key", ["motion", "reference", "sensor", "tissue", "arm"])
+@pytest.mark.parametrize("value", [{}, {"seed": 3}, None, 3, Change(1.0, 2.0)], ids=str)
+def test_tables_that_are_built_in_python_are_of_their_kind(key: str, value: Any) -> None:
+    with pytest.raises(
+        InputError, match=rf"^{key} = .*: must be an? {key.capitalize()}.*`Experiment\.from_dict` takes"
+    ):
+        Experiment(**{key: value})
+
+
+@pytest.mark.parametrize(
+    ("build", "key"),
+    [
+        (lambda: ArmSettings(cable_hz="fast"), "arm.cable_hz"),
+        (lambda: ArmSettings(beyond_sensor=None), "arm.beyond_sensor"),
+        (lambda: TissueSettings(kind=["elastic"]), "tissue.kind"),
+        (lambda: TissueSettings(changes=3), "tissue.changes"),
+        (lambda: TissueSettings(changes=({"at": 1.0, "factor": 2.0},)), "tissue.changes"),
+        (lambda: Experiment(stiffness=810.0), "stiffness"),
+        (lambda: Experiment(stiffness=np.array([375.0, 810.0])), "stiffness"),
+    ],
+)
+def test_values_of_a_table_that_are_of_another_type_are_told_by_their_key(build: Callable[[], Any], key: str) -> None:
+    with pytest.raises(InputError) as refused:
+        build()
     assert refused.value.key == key
 
 

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc.files.errors import InputError
-from jaxmpc.files.toml import convert
+from jaxmpc.files.toml import check_built
 from jaxmpc.world.heart import harmonics, phase, recording, rhythm, ventilation
 from jaxmpc.world.heart.bounds import Seconds, Size
 from jaxmpc.world.heart.rhythm_settings import RhythmSettings
@@ -84,7 +84,7 @@ def prepared(motion: Motion, until: float) -> Surface:
         InputError: A value is out of bounds, or a recording unusable.
     """
     # What was built in Python has not met its bounds yet.
-    convert(msgspec.to_builtins(motion), Motion, "motion")
+    check_built(motion, "motion")
     unfaded = _unfaded(motion, until)
 
     def surface(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
