@@ -165,6 +165,22 @@ def test_who_is_lost_where_the_one_before_was_lost_has_not_met_every_goal(result
     assert verdict(result) == "all hard goals are met in training; held out, missed: |e| < 2 N in scenario 1001"
 
 
+@pytest.mark.parametrize("peak", [np.nan, 3.0])
+def test_a_ratio_beside_a_baseline_that_was_lost_says_so(result: TuneResult, peak: float) -> None:
+    """On 1900 N/m in every scenario: then none is left out, and who lasts has met the ratio there."""
+    result.heldout.peak_to_peak[1] = 0.5 * result.heldout.peak_to_peak[0]
+    result.heldout.peak_error[0, :, 2] = peak
+    result.heldout.peak_to_peak[0, :, 2] = 100.0 * peak
+    *others, ratio = rows(result)
+    assert ratio.met
+    assert ratio.said == "yes (baseline lost on 1900 N/m)"
+    assert [row.said for row in others] == ["yes"] * len(others)
+    assert re.search(r"soft: peak_to_peak_ratio ≤ 1 .* yes \(baseline lost on 1900 N/m\)", report(result))
+    assert verdict(result) == (
+        "all hard goals are met (baseline lost on 1900 N/m: whatever lasts has met ratios there)"
+    )
+
+
 def test_a_search_whose_runs_were_all_lost_has_met_nothing(result: TuneResult) -> None:
     state = result.state
     state.best[:], state.best_z[:], state.score[:] = np.inf, np.nan, np.nan

@@ -26,6 +26,8 @@ class Row(NamedTuple):
     """Where the tuned controller stands worst [N/m]."""
     implied: bool = False
     """Whether the robot's limits imply it, and the job leaves it out."""
+    beside_lost: tuple[float, ...] = ()
+    """Tissues on which a ratio is met by whatever lasts, since the controller before was lost there [N/m]."""
 
     @property
     def kind(self) -> str:
@@ -36,6 +38,11 @@ class Row(NamedTuple):
     def met(self) -> bool:
         """Whether the tuned controller holds it."""
         return bool(GOALS[self.name].kept(self.reached[1], self.limit))
+
+    @property
+    def said(self) -> str:
+        """Whether it is met, and where only beside one that was lost."""
+        return ("yes" if self.met else "no") + (f" ({_lost_on(self.beside_lost)})" if self.beside_lost else "")
 
     @property
     def text(self) -> str:
@@ -75,24 +82,34 @@ def rows(result: TuneResult) -> list[Row]:
         pair = [run_goals(each, cells[0], overshoot[i], {name: 1.0})[name] for i, each in enumerate(cells)]
         per_tissue = np.max(np.asarray(pair[1]), axis=(1, 2))
         largest = [float(np.max(np.asarray(values))) for values in pair]
-        K_s = spec.experiment.stiffness[int(np.argmax(per_tissue))]
-        found.append(Row(name, hard, limit, (largest[0], largest[1]), K_s, hard and name in spec.implied))
+        stiffness = spec.experiment.stiffness
+        K_s = stiffness[int(np.argmax(per_tissue))]
+        lost = ~np.all(np.asarray(cells[0].peak_error) < LOST, axis=(1, 2)) & beside
+        where = tuple(K for K, one in zip(stiffness, lost, strict=True) if one)
+        found.append(Row(name, hard, limit, (largest[0], largest[1]), K_s, hard and name in spec.implied, where))
     return found
 
 
 def verdict(result: TuneResult) -> str:
-    """Which goal is missed and by how much, or that all are met, on held-out scenarios too, and by what may fly."""
+    """Which goal is missed and by how much, or that all are met, on held-out scenarios too, beside what and by what."""
     if unmet := result.unmet():
         return unmet
-    missed = [row.text for row in rows(result) if row.hard and not row.met]
+    goals = rows(result)
+    missed = [row.text for row in goals if row.hard and not row.met]
     if lost := [
         str(seed) for seed, held in zip(result.spec.tune.heldout_seeds, result.held[1], strict=True) if not held
     ]:
         missed.append(f"|e| < {LOST:g} N in scenario {', '.join(lost)}")
     found = "all hard goals are met" + (f" in training; held out, missed: {', '.join(missed)}" if missed else "")
+    if where := next((row.beside_lost for row in goals if row.beside_lost), ()):
+        found += f" ({_lost_on(where)}: whatever lasts has met ratios there)"
     if result.spec.experiment.physics == "linear":
         return found
     return found + ("; freeze accepts it" if result.spec.experiment.limited else f"; {STUDY}")
+
+
+def _lost_on(tissues: tuple[float, ...]) -> str:
+    return f"baseline lost on {', '.join(f'{K_s:g}' for K_s in tissues)} N/m"
 
 
 def _cells(result: TuneResult, which: int, counted: np.ndarray) -> Metrics:

@@ -62,8 +62,8 @@ def _goals(result: TuneResult) -> Section:
     spec = result.spec
     lines = []
     for row in rows(result):
-        place, met = f"{row.at:.4g}" if row.at else "", "yes" if row.met else "no"
-        lines.append([f"{row.kind}: {row.text}", *(f"{value:.4g}" for value in row.reached), met, place])
+        place = f"{row.at:.4g}" if row.at else ""
+        lines.append([f"{row.kind}: {row.text}", *(f"{value:.4g}" for value in row.reached), row.said, place])
     kind = "the ideal loop" if spec.ideal else "the loop as it runs"
     words = (
         f"Margins are those of {kind}, the worst over all tissues; goals of the runs are the worst of the held-out "
