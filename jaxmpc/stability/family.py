@@ -32,8 +32,9 @@ from jaxmpc.xla.rows import repeated, reshaped
 
 KNOWN, RATIOS = 25, 5
 """Known stiffnesses, log-spaced between the outer knots, and K_s/K̂ over the band, at which a schedule is judged."""
-RATES = 6
-"""Rates of the heart, log-spaced over what it may have, at which one that learns the beat is."""
+RATES = 12
+"""Rates of the heart, log-spaced over what it may have, at which one that learns the beat is: more of them find the
+published family's gain reduction 0.005 dB less, half as many 0.06 dB more."""
 
 
 def judged_where(

@@ -284,15 +284,22 @@ def test_what_is_used_in_part_takes_no_margin_either(hertz: float) -> None:
 
 
 def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
-    """At 13 rates; `family_margins` takes 6."""
+    """At 25 rates; `family_margins` takes 12."""
     path, (known, _) = Experiment.published("family-wam").loop_path(), judged_where(FAMILY.listening, 7)
-    found = family_margins(FAMILY, known, np.array([0.94, 1.06]), path, rates=13)
+    found = family_margins(FAMILY, known, np.array([0.94, 1.06]), path, rates=25)
     assert np.max(found.M_s) <= 2.0
     assert np.min(found.gain_margin_db) >= 6.0
     assert np.min(found.gain_reduction_db) >= 4.0
     assert np.min(found.phase_margin_deg) >= 30.0
     assert np.min(found.delay_margin_s) >= 1.5e-3
     assert np.max(found.spectral_radius) < 1.0
+
+
+def test_rates_between_tell_hardly_more() -> None:
+    """Where its gain reduction is least."""
+    at = np.array([375.0]), np.array([0.94]), Experiment.published("family-wam").loop_path()
+    told, dense = (float(family_margins(FAMILY, *at, **rates).gain_reduction_db[0, 0]) for rates in ({}, {"rates": 60}))
+    assert dense <= told < dense + 0.01
 
 
 @pytest.mark.oracle
