@@ -15,7 +15,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import FILTERS, FLOOR_FLAGS, MARGINS, METRICS, PARAMETERS, Quantity
 from jaxmpc.stability import Margins
-from jaxmpc.synthesis.params import STRUCTURE
+from jaxmpc.synthesis.structure import STRUCTURE
 from jaxmpc.terminal.tables import RESIDUAL_HEADER, metric_rows, residual_rows
 from sweeps.plan import make_plan
 from sweeps.spec import SweepSpec

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from jaxmpc.quantities import AXES
 
 if TYPE_CHECKING:
-    from jaxmpc.experiment.experiment import Experiment, Physics, Signals
+    from jaxmpc.experiment.experiment import Experiment, Physics
+    from jaxmpc.experiment.signals import Signals
     from jaxmpc.experiment.tables import SensorSettings
 
 __all__ = ["AXES", "Experiment", "Physics", "SensorSettings", "Signals"]

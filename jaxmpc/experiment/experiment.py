@@ -1,25 +1,24 @@
 """An experiment: stiffness set × heart motion × force reference × imperfections, as a TOML file."""
 
 import hashlib
-from collections.abc import Mapping
 from contextlib import suppress
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from types import MappingProxyType
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
 from jaxmpc import described
-from jaxmpc.experiment.reference import Reference, wanted_force
-from jaxmpc.experiment.tables import RESOLVED, ArmSettings, SensorSettings, TissueSettings
+from jaxmpc.experiment.reference import Reference
+from jaxmpc.experiment.signals import Signals, scored
+from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
+from jaxmpc.experiment.together import TABLES, check_kinds, check_together
 from jaxmpc.files.errors import InputError, nearest, plain_name
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
 from jaxmpc.files.toml import check_built, convert, known_keys, located, read_toml, told_by_type
 from jaxmpc.law.ops import FLOATS
-from jaxmpc.quantities import AXES, HP_MAX
 from jaxmpc.synthesis.force_filter import cutoff_of, force_filter
 from jaxmpc.synthesis.timing import Timing
 from jaxmpc.world.heart.bounds import Seconds
@@ -28,23 +27,6 @@ from jaxmpc.world.loop_path import LoopPath, loop_path
 
 Physics = Literal["linear", "wam", "mjx"]
 Stiffness = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
-TABLES: Mapping[str, type[msgspec.Struct]] = MappingProxyType(
-    {"motion": Motion, "reference": Reference, "sensor": SensorSettings, "tissue": TissueSettings, "arm": ArmSettings}
-)
-"""Tables of an experiment, by their names."""
-
-
-class Signals(NamedTuple):
-    """What the loop meets at each sample, the same for every controller."""
-
-    heart: np.ndarray
-    """Position of the heart's surface, shape (steps, 3) [m]."""
-    noise: np.ndarray
-    """Sensor noise, shape (steps, 3) [N]."""
-    force_ref: np.ndarray
-    """Wanted force, shape (steps, 3), longer by `HP_MAX` with preview [N]."""
-    score: np.ndarray
-    """Whether a sample counts in the metrics, shape (steps, 3)."""
 
 
 class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
@@ -78,37 +60,9 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     arm: ArmSettings = ArmSettings()
 
     def __post_init__(self) -> None:
-        for name, kind in TABLES.items():
-            if not isinstance(table := getattr(self, name), kind):
-                article = "an" if kind.__name__[0] in "AEIOU" else "a"
-                remedy = "`Experiment.from_dict` takes tables for them."
-                raise InputError(name, table, f"{article} {kind.__name__}", remedy)
-        if not isinstance(self.stiffness, tuple | list):
-            raise InputError("stiffness", self.stiffness, "a tuple of numbers [N/m]", "Write (810.0,) for one.")
+        check_kinds(self)
         with told_by_type(self):
-            self._check_together()
-
-    def _check_together(self) -> None:
-        """Refuse values that do not go together."""
-        plain_name("name", self.name)
-        if not self.stiffness:
-            raise InputError("stiffness", "[]", "at least one stiffness [N/m]", "The paper has [375.0, 810.0, 1900.0].")
-        if self.settle >= self.duration:
-            remedy = "Lower settle or raise duration."
-            raise InputError("settle", self.settle, f"below duration (= {self.duration:g} s)", remedy)
-        if (self.motion.kind == "recording") != bool(self.motion.file):
-            remedy = 'Give both motion.kind = "recording" and motion.file = "…", or neither.'
-            raise InputError("motion.file", self.motion.file or "missing", "given for a recording only", remedy)
-        if self.physics == "mjx" and (self.arm.substeps > 1 or self.arm.cable_hz):
-            remedy = 'Set arm.substeps = 1 and arm.cable_hz = 0, or physics = "wam".'
-            raise InputError("physics", "mjx", "used without substeps and cable mode", remedy)
-        if self.physics == "mjx" and self.arm.integrator != "euler":
-            remedy = 'Set arm.integrator = "euler", which is MuJoCo\'s.'
-            raise InputError("arm.integrator", self.arm.integrator, '"euler" on stock MJX', remedy)
-        resolved = RESOLVED * self.arm.substeps / max(1.0, self.sampling_time / 1e-3)
-        if self.physics == "wam" and self.arm.cable_hz > resolved * (1.0 + 1e-9):
-            bound = f"at most {resolved:g} Hz with arm.substeps = {self.arm.substeps} in {self.sampling_time:g} s"
-            raise InputError("arm.cable_hz", self.arm.cable_hz, bound, "Raise arm.substeps.")
+            check_together(self)
 
     def __repr__(self) -> str:
         return described.as_text(*described.experiment(self))
@@ -275,14 +229,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         Raises:
             InputError: None counts.
         """
-        t = np.arange(self.steps) * self.sampling_time
-        horizon = HP_MAX if self.reference.preview else 0
-        ahead = np.arange(self.steps + horizon) * self.sampling_time
-        wanted, ramps = zip(*(wanted_force(getattr(self.reference, axis), ahead) for axis in AXES), strict=True)
-        score = (t >= self.settle)[:, None] & ~np.stack(ramps, 1)[: self.steps]
-        if not score.any(axis=0).all():
-            raise InputError("settle", self.settle, "shorter", "No sample is left to score: all are settling or ramps.")
-        return np.stack(wanted, 1), score
+        return scored(self.reference, self.steps, self.sampling_time, self.settle)
 
     @cached_property
     def signals(self) -> Signals:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,14 +15,8 @@ from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.quantities import FILTERS, HORIZONS, PARAMETERS, ParameterValues
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.published import SETS
+from jaxmpc.synthesis.structure import SHARED, STRUCTURE, Architecture, Delay, Order, check_knots, check_structure
 from jaxmpc.synthesis.values import BATCHES, batch_of, check_values, from_plain, rows_of, tables
-
-Architecture = Literal["mpc-aob", "aob", "mpc"]
-Order = Literal[1, 2, 3]
-Delay = Literal[1, 2]
-SHARED = ("architecture", "disturbance_order", "designed_delay")
-STRUCTURE = (*SHARED, "guarded", "listening")
-"""What of a controller is no number to be tuned but needs a program of its own; the first of it knots share."""
 
 
 class Params(eqx.Module, ParameterValues):
@@ -52,26 +46,8 @@ class Params(eqx.Module, ParameterValues):
     """Controllers for tissue whose stiffness is known; these parameters themselves are for tissue where it is not."""
 
     def __check_init__(self) -> None:
-        if self.architecture not in get_args(Architecture):
-            known = list(get_args(Architecture))
-            raise InputError("architecture", self.architecture, "a known one", nearest(str(self.architecture), known))
-        order = self.disturbance_order
-        if type(order) is not int or order not in get_args(Order):
-            raise InputError("disturbance_order", order, "1, 2 or 3", "The paper's active state has order 1.")
-        if self.architecture == "mpc" and order != 1:
-            remedy = "MPC alone has no active state: leave it out."
-            raise InputError("disturbance_order", order, '1 with the architecture "mpc"', remedy)
-        delay = self.designed_delay
-        if type(delay) is not int or delay not in get_args(Delay):
-            raise InputError("designed_delay", delay, "1 or 2", "The paper's design has 1.")
-        if not isinstance(self.guarded, bool):
-            raise InputError(
-                "guarded", self.guarded, "true or false", "True lets the gain fall while the force swings."
-            )
-        if self.guarded and self.architecture == "mpc":
-            remedy = "MPC alone has no model of the tissue to scale: leave it out."
-            raise InputError("guarded", self.guarded, 'false with the architecture "mpc"', remedy)
-        self._check_knots()
+        check_structure(self)
+        check_knots(self, Params)
         self._check_numbers()
 
     def _check_numbers(self) -> None:
@@ -90,26 +66,6 @@ class Params(eqx.Module, ParameterValues):
         known = {name: value for name, value in arrays.items() if not isinstance(value, jax.core.Tracer)}
         typical = {each.name: each.default for each in fields(self)}
         check_values(jax.device_get(known), typical, len(batch), self.architecture)
-
-    def _check_knots(self) -> None:
-        if not isinstance(self.listening, Listening | None):
-            raise InputError("listening", self.listening, "a Listening", "`Params.from_dict` takes a table for it.")
-        if not isinstance(self.knots, tuple):
-            raise InputError("knots", self.knots, "a tuple of Params", "One for each stiffness that listening names.")
-        places = () if self.listening is None else self.listening.stiffness
-        if len(places) != len(self.knots):
-            remedy = "Give [params.listening] a stiffness for every [[params.knots]]."
-            raise InputError("knots", f"{len(self.knots)} of them", f"as many as stiffnesses, {len(places)}", remedy)
-        for knot in self.knots:
-            if not isinstance(knot, Params):
-                raise InputError("knots", knot, "a tuple of Params", "`Params.from_dict` takes tables for them.")
-            same = all(getattr(knot, name) == getattr(self, name) for name in SHARED)
-            if knot.knots or knot.guarded or not same:
-                remedy = f"Leave {', '.join(SHARED)} and guarded to the table above it."
-                raise InputError("knots", "of another structure", "of the structure of [params]", remedy)
-            if own := [name for name in FILTERS if getattr(knot, name) is not None]:
-                remedy = "A signal is filtered before the tissue is known: put it under [params]."
-                raise InputError(f"knots.{own[0]}", getattr(knot, own[0]), "left out of knots", remedy)
 
     def __repr__(self) -> str:
         return described.as_text(*described.parameters(self))

@@ -18,7 +18,7 @@ from jaxmpc.engine.lanes import at_sample, packed, recorded, unpacked
 from jaxmpc.engine.pallas_triton import Shape
 from jaxmpc.engine.scan import Scan
 from jaxmpc.engine.scenario import program_spec, scenario_data
-from jaxmpc.synthesis.params import Delay
+from jaxmpc.synthesis.structure import Delay
 from tests.jaxmpc.arm_tables import TABLE, changed
 
 # Steps that stretches do not divide, lanes that programs do not divide; one controller that runs away.

@@ -8,7 +8,8 @@ import numpy as np
 from jaxmpc.experiment import AXES
 from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Metric
 from jaxmpc.report.content import Section, Table
-from jaxmpc.synthesis.params import STRUCTURE, Params
+from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.structure import STRUCTURE
 from tuning.job.space import KNOTS
 from tuning.proof.found import KINDS
 from tuning.proof.limits import active_margins

@@ -1,0 +1,63 @@
+"""Which values of an experiment go together, wherever it was built."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+
+from jaxmpc.experiment.reference import Reference
+from jaxmpc.experiment.tables import RESOLVED, ArmSettings, SensorSettings, TissueSettings
+from jaxmpc.files.errors import InputError, plain_name
+from jaxmpc.world.heart.motion import Motion
+
+TABLES: Mapping[str, type[msgspec.Struct]] = MappingProxyType(
+    {"motion": Motion, "reference": Reference, "sensor": SensorSettings, "tissue": TissueSettings, "arm": ArmSettings}
+)
+"""Tables of an experiment, by their names."""
+
+
+def check_kinds(experiment: Any) -> None:
+    """Refuse tables that are of another kind, and stiffnesses that are no sequence: only in Python may they be.
+
+    Raises:
+        InputError: Names the key, its value, what it must be and the remedy.
+    """
+    for name, kind in TABLES.items():
+        if not isinstance(table := getattr(experiment, name), kind):
+            article = "an" if kind.__name__[0] in "AEIOU" else "a"
+            remedy = "`Experiment.from_dict` takes tables for them."
+            raise InputError(name, table, f"{article} {kind.__name__}", remedy)
+    if not isinstance(experiment.stiffness, tuple | list):
+        raise InputError("stiffness", experiment.stiffness, "a tuple of numbers [N/m]", "Write (810.0,) for one.")
+
+
+def check_together(experiment: Any) -> None:
+    """Refuse values that do not go together.
+
+    Raises:
+        InputError: Names the key, its value, what it must be and the remedy.
+        TypeError: A value is of another type than its file's.
+        AttributeError: The same.
+    """
+    plain_name("name", experiment.name)
+    if not experiment.stiffness:
+        raise InputError("stiffness", "[]", "at least one stiffness [N/m]", "The paper has [375.0, 810.0, 1900.0].")
+    if experiment.settle >= experiment.duration:
+        remedy = "Lower settle or raise duration."
+        raise InputError("settle", experiment.settle, f"below duration (= {experiment.duration:g} s)", remedy)
+    if (experiment.motion.kind == "recording") != bool(experiment.motion.file):
+        remedy = 'Give both motion.kind = "recording" and motion.file = "…", or neither.'
+        raise InputError("motion.file", experiment.motion.file or "missing", "given for a recording only", remedy)
+    if experiment.physics == "mjx" and (experiment.arm.substeps > 1 or experiment.arm.cable_hz):
+        remedy = 'Set arm.substeps = 1 and arm.cable_hz = 0, or physics = "wam".'
+        raise InputError("physics", "mjx", "used without substeps and cable mode", remedy)
+    if experiment.physics == "mjx" and experiment.arm.integrator != "euler":
+        remedy = 'Set arm.integrator = "euler", which is MuJoCo\'s.'
+        raise InputError("arm.integrator", experiment.arm.integrator, '"euler" on stock MJX', remedy)
+    resolved = RESOLVED * experiment.arm.substeps / max(1.0, experiment.sampling_time / 1e-3)
+    if experiment.physics == "wam" and experiment.arm.cable_hz > resolved * (1.0 + 1e-9):
+        bound = (
+            f"at most {resolved:g} Hz with arm.substeps = {experiment.arm.substeps} in {experiment.sampling_time:g} s"
+        )
+        raise InputError("arm.cable_hz", experiment.arm.cable_hz, bound, "Raise arm.substeps.")
