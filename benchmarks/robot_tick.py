@@ -21,11 +21,13 @@ import numpy as np
 
 from benchmarks import mujoco_loop
 from deploy.controller.file import load
+from deploy.controller.golden import arm_inputs
 from deploy.controller.runtimes import arm_runtime, flown_controller
 from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law import force_control
 from jaxmpc.law.gains import constant_reference
 from jaxmpc.law.ops import FLOATS
+from jaxmpc.law.reference import split
 from tests.deploy import made
 
 Rows = list[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]]
@@ -54,7 +56,9 @@ def on_floats(artifact: Any, rows: Rows) -> Callable[[int], Any]:
     def tick(k: int) -> Any:
         nonlocal state
         q, force, wanted = rows[k]
-        state, command = force_control.step(controller, state, q, force, tuple((w,) for w in wanted), FLOATS)
+        told = wanted if artifact.preview else tuple((w,) for w in wanted)
+        present, ahead = split(told, len(controller.gains.mpc_ref))
+        state, command = force_control.step(controller, state, q, force, ahead, FLOATS, present=present)
         torque = command.torque.torque
         state = force_control.applied(state, command, (torque[0], torque[1] - 1e-3, torque[2], torque[3]))
         return torque
@@ -146,8 +150,7 @@ def main() -> int:
     parser.add_argument("--ticks", type=int, default=1_000_000)
     args = parser.parse_args()
     artifact = load(args.artifact) if args.artifact else made.arm_artifact(500)
-    arrays = (artifact.arm.golden_q, artifact.golden_force, artifact.golden_force_ref)
-    rows: Rows = [tuple(map(tuple, row)) for row in zip(*(array.tolist() for array in arrays), strict=True)]
+    rows: Rows = [tuple(map(tuple, row)) for row in arm_inputs(artifact)]
     makers = {"recorded": recorded, "law on floats": on_floats, "MuJoCo and numpy": by_mujoco}
     torques = {
         name: np.array([tick(k) for tick in [make(artifact, rows)] for k in range(100)])

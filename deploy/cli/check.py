@@ -167,23 +167,21 @@ def _print_arm(arm: "ArmModel") -> None:
 
 def _times(artifact: "Artifact", count: int = 20_000) -> list[float]:
     """Percentiles 0 to 99 of the time of one step or, on the arm, tick [µs]."""
+    from deploy.controller.golden import arm_inputs
     from deploy.controller.runtimes import arm_runtime, linear_runtime
 
-    force, force_ref = artifact.golden_force[0].tolist(), artifact.golden_force_ref[0].tolist()
     if artifact.arm is None:
         runtime = linear_runtime(artifact)
+        force, force_ref = artifact.golden_force[0].tolist(), artifact.golden_force_ref[0].tolist()
 
         def once() -> None:
             runtime.step(force, force_ref)
     else:
-        arm, q, applied = (
-            arm_runtime(artifact),
-            artifact.arm.golden_q[0].tolist(),
-            artifact.arm.golden_applied[0].tolist(),
-        )
+        arm, applied = arm_runtime(artifact), artifact.arm.golden_applied[0].tolist()
+        q, measured, wanted = arm_inputs(artifact)[0]
 
         def once() -> None:
-            arm.control(q, arm.velocity(q), force, force_ref)
+            arm.control(q, arm.velocity(q), measured, wanted)
             arm.applied(applied)
 
     took = []

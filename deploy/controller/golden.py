@@ -1,10 +1,13 @@
 """The golden trace of a frozen controller, replayed: does the law on this machine answer as the one that was frozen?"""
 
+from typing import Any
+
 import numpy as np
 
 from deploy.controller.artifact import Artifact
 from deploy.controller.runtimes import arm_runtime, linear_runtime
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.reference import told
 
 TOLERANCE = 1e-9
 """Largest deviation from the golden trace at load [-, N m]; `replay` says why."""
@@ -38,6 +41,15 @@ def check_golden(artifact: Artifact) -> float:
     return deviation
 
 
+def arm_inputs(artifact: Artifact) -> list[tuple[Any, Any, Any]]:
+    """Angles [rad], measured and wanted force [N] of each golden sample, as the runtime of an arm takes them."""
+    arm, wanted = artifact.arm, artifact.golden_force_ref.tolist()
+    assert arm is not None
+    if artifact.preview:
+        wanted = told(wanted)
+    return list(zip(arm.golden_q.tolist(), artifact.golden_force.tolist(), wanted, strict=True))
+
+
 def _linear(artifact: Artifact) -> tuple[np.ndarray, float]:
     runtime = linear_runtime(artifact)
     runtime.init(artifact.golden_force[0])
@@ -48,13 +60,10 @@ def _linear(artifact: Artifact) -> tuple[np.ndarray, float]:
 def _on_arm(artifact: Artifact) -> tuple[np.ndarray, float]:
     runtime, arm = arm_runtime(artifact), artifact.arm
     assert arm is not None
-    inputs = zip(
-        *(each.tolist() for each in (arm.golden_q, artifact.golden_force, artifact.golden_force_ref)), strict=True
-    )
     v, torques = [], []
     runtime.start(tuple(arm.golden_q[0].tolist()))
     runtime.enter(tuple(artifact.golden_force[0].tolist()), tuple(arm.golden_q[0].tolist()))
-    for (q, force, force_ref), applied in zip(inputs, arm.golden_applied.tolist(), strict=True):
+    for (q, force, force_ref), applied in zip(arm_inputs(artifact), arm.golden_applied.tolist(), strict=True):
         torques.append(runtime.control(q, runtime.velocity(q), force, force_ref))
         v.append(runtime.last_v)
         runtime.applied(applied)

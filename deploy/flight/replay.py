@@ -127,8 +127,7 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
         judged &= seen >= SETTLING
     force_ref = signals["force_ref"]
     if artifact.preview:
-        ahead = len(artifact.gains.mpc_ref)
-        force_ref, whole = _windows(force_ref, contact, ahead)
+        force_ref, whole = _windows(force_ref, contact, 1 + len(artifact.gains.mpc_ref))
         judged &= whole
     q = signals["q"]
     lost = np.flatnonzero(np.any(signals["position_age"] > 0.0, axis=1) | ~np.all(np.isfinite(q), axis=1))
@@ -238,11 +237,11 @@ def table(title: str, rows: list[Difference]) -> str:
     return f"{title}\n{layout.table(['signal', 'samples', 'largest', 'at [s]', 'allowed', 'parts'], lines)}"
 
 
-def _windows(force_ref: np.ndarray, contact: np.ndarray, ahead: int) -> tuple[np.ndarray, np.ndarray]:
-    """What was known of the future at each sample: what came later. And where all of that is in the recording."""
+def _windows(force_ref: np.ndarray, contact: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """What was known of each sample and its future: what came later. And where all of that is in the recording."""
     count = len(force_ref)
-    padded = np.concatenate([force_ref, np.repeat(force_ref[-1:], ahead - 1, axis=0)])
-    windows = np.lib.stride_tricks.sliding_window_view(padded, ahead, axis=0)
-    stays = np.concatenate([contact, np.zeros(ahead - 1, bool)])
-    whole = np.all(np.lib.stride_tricks.sliding_window_view(stays, ahead), axis=1)
+    padded = np.concatenate([force_ref, np.repeat(force_ref[-1:], width - 1, axis=0)])
+    windows = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0)
+    stays = np.concatenate([contact, np.zeros(width - 1, bool)])
+    whole = np.all(np.lib.stride_tricks.sliding_window_view(stays, width), axis=1)
     return windows[:count], whole | ~contact

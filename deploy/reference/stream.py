@@ -1,7 +1,7 @@
 """Wanted force over time, as a stream that nothing can make jump.
 
 A source says which force is wanted at a time; `Stream` follows it, limited in magnitude and in rate. With preview
-it hands out the next H samples: what a source without a future asks for then acts H samples later.
+it hands out the next H samples, too: what a source without a future asks for then acts H samples later.
 """
 
 import math
@@ -50,8 +50,8 @@ class Stream:
         self._ahead = ahead
         self._force = start if math.isfinite(sum(start)) else (0.0, 0.0, 0.0)
         self._sample = 0
-        self._axes = tuple(deque([value] * max(ahead, 1), maxlen=max(ahead, 1)) for value in self._force)
-        for _ in range(ahead - 1):
+        self._axes = tuple(deque([value] * (1 + ahead), maxlen=1 + ahead) for value in self._force)
+        for _ in range(ahead):
             self._advance()
 
     def at(self, t: float) -> Vector3 | tuple[tuple[float, ...], ...]:
@@ -60,7 +60,7 @@ class Stream:
         Times do not go back. After missed samples it follows the source on, never faster than three samples at once.
 
         Returns:
-            Force [N], 3 floats; with preview 3 × H, of the next H samples.
+            Force [N], 3 floats; with preview 3 × (1 + H), of this sample and the next H.
         """
         steps = round(t / self._T_s) + self._ahead - self._sample
         if steps > _CATCH_UP:

@@ -52,9 +52,9 @@ class ArmRuntime:
         self._controller, self._compensated = controller, compensated
         self.start(controller.posture)
         self._read(places(law.resting))
-        ahead = ((0.0,) * len(controller.gains.mpc_ref),) * 3 if preview else _THREE
+        wanted = ((0.0,) * (1 + len(controller.gains.mpc_ref)),) * 3 if preview else _THREE
         memory, seen = self._memory, (_FOUR, _FOUR)
-        control = compile_straightline(law.control, (memory, self._bristles, _THREE, _FOUR, *seen, _THREE, ahead))
+        control = compile_straightline(law.control, (memory, self._bristles, _THREE, _FOUR, *seen, _THREE, wanted))
         self.operations = control.operations
         self._control = control.function
         self._measure = compile_straightline(law.measure, (self._measured, _FOUR)).function
@@ -107,7 +107,7 @@ class ArmRuntime:
             q: Measured joint angles [rad].
             qd: What `velocity` gave [rad/s].
             force: Measured force on the tissue [N]; None, for a lost one, is bridged by what is expected.
-            force_ref: Wanted force of each axis [N]; with preview 1…H samples ahead (3, H).
+            force_ref: Wanted force of each axis [N]; with preview of this sample and of 1…H ahead (3, 1 + H).
 
         Returns:
             Joint torques before any limit [N m]; tell `applied` what the limits let pass.

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from deploy.runtime.flat import flat, nested
 from deploy.runtime.straightline import OPS
-from jaxmpc.law import chain, entry, force_control, identification, measurement
+from jaxmpc.law import chain, entry, force_control, identification, measurement, reference
 from jaxmpc.law.computed_torque import JointTorque
 from jaxmpc.law.force_control import Command, Controller, ControllerState
 from jaxmpc.law.measurement import MeasurementState
@@ -56,7 +56,8 @@ class ArmLaw:
         """A sample of contact: what is remembered, commands, torques, and what tells a torque from a command."""
         state = force_control.holding(self._state(memory, bristles, q, qd), applied, change)
         wanted = force_ref if self.preview else tuple((axis,) for axis in force_ref)
-        state, command = force_control.respond(self.controller, state, force, wanted, OPS)
+        present, ahead = reference.split(wanted, len(self.controller.gains.mpc_ref))
+        state, command = force_control.respond(self.controller, state, force, ahead, OPS, present=present)
         found = command.torque
         return (
             flat(memory_of(state)),

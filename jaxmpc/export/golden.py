@@ -17,6 +17,7 @@ from jaxmpc.law import cascade, entry, force_control, torque_limits
 from jaxmpc.law.force_control import Controller
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.ops import FLOATS
+from jaxmpc.law.reference import split, told
 from jaxmpc.law.torque_limits import TorqueLimits
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.arm import chain
@@ -152,7 +153,7 @@ def arm_law_trace(
     apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
     bandwidth = experiment.arm.momentum_observer or None
     controller = Controller(chain(), robot.nominal, robot.posture, apart, K2, robot.measurement, bandwidth)
-    wanted = run.force_ref if preview else run.force_ref[:, :, None]
+    wanted = np.array(told(run.force_ref.tolist())) if preview else run.force_ref[:, :, None]
     inputs = run.q, run.force, wanted
     free = _arm_law(controller, robot.limits, inputs, compensated=compensated)
     most = np.quantile(np.abs(free.torque), LIMITED_ABOVE, axis=0)
@@ -163,7 +164,8 @@ def arm_law_trace(
 def _arm_law_trace(controller: Controller, limits: TorqueLimits, inputs: Any, compensated: bool) -> ArmAnswer:
     def sample(carry: Any, now: Any) -> tuple[Any, Any]:
         (state, last, begun), (q, force, wanted) = carry, now
-        met, command = force_control.step(controller, state, tuple(q), tuple(force), tuple(map(tuple, wanted)), ops)
+        present, ahead = split(tuple(map(tuple, wanted)), len(controller.gains.mpc_ref))
+        met, command = force_control.step(controller, state, tuple(q), tuple(force), ahead, ops, present=present)
         torque = command.torque.torque
         # The first sample is met twice: before it the arm got what it wants there.
         before = _where(begun, last, torque)

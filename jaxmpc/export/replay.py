@@ -11,6 +11,7 @@ from jaxmpc.law.force_control import Controller, ControllerState
 from jaxmpc.law.gain_backoff import BackoffMemory
 from jaxmpc.law.measurement import MeasurementState
 from jaxmpc.law.recorded import RecordedInputs
+from jaxmpc.law.reference import split
 from jaxmpc.xla import ops
 from jaxmpc.xla.precision import in_float64
 
@@ -35,8 +36,8 @@ def replay_law(controller: Controller, compensated: bool, flown: RecordedInputs)
         state = _chosen(now["enters"], entry.enter(controller, state, felt, a, ops), state)
         known = ~jnp.any(jnp.isnan(now["force"]))
         force = _chosen(known, force, entry.expected_force(controller, state, ops))
-        wanted = tuple(tuple(axis) for axis in now["force_ref"])
-        following, command = force_control.respond(controller, state, force, wanted, ops)
+        present, ahead = split(tuple(map(tuple, now["force_ref"])), len(controller.gains.mpc_ref))
+        following, command = force_control.respond(controller, state, force, ahead, ops, present=present)
         sample = {
             "u": tuple(axis.u for axis in following.axes),
             "v": command.v,

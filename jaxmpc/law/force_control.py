@@ -111,6 +111,7 @@ def step(
     force_ref: Sequence[Sequence[Scalar]],
     ops: Ops,
     push: Vector = ZERO,
+    present: Vector | None = None,
 ) -> tuple[ControllerState, Command]:
     """Advance the controller by one sample.
 
@@ -122,9 +123,11 @@ def step(
         force_ref: Wanted force per axis, as `cascade.step` takes it [N].
         ops: Scalar functions.
         push: Acceleration added to a that the cascades do not know of, where a loop is to be judged, 3 scalars [m/s²].
+        present: Wanted force of the sample itself where `force_ref` is of later ones, 3 scalars; None where that is its
+            first [N].
     """
     measured = measurement.measure(controller.measurement, state.measured, q)
-    return respond(controller, state._replace(measured=measured), force, force_ref, ops, push)
+    return respond(controller, state._replace(measured=measured), force, force_ref, ops, push, present)
 
 
 def respond(
@@ -134,20 +137,23 @@ def respond(
     force_ref: Sequence[Sequence[Scalar]],
     ops: Ops,
     push: Vector = ZERO,
+    present: Vector | None = None,
 ) -> tuple[ControllerState, Command]:
     """Advance the controller by one sample whose joint angles and velocities are in the state; else as `step`."""
     gains, guard, (q, qd) = controller.gains, state.guard, state.measured
     tip = chain.tip(controller.chain, chain.pose(controller.chain, q, ops))
     taken = 0.0 if guard is None else gain_backoff.taken(guard.memory, ops)
     anywhere = schedule.alarm(state.axes, ops)
+    # A force is judged by what is wanted now, not by what is wanted when the command acts.
+    wanted = tuple(ahead[0] for ahead in force_ref) if present is None else present
     heard = [
-        schedule.listen(gains, axis, y, x, ahead[0], taken, anywhere, ops)
-        for axis, y, x, ahead in zip(state.axes, force, tip.position, force_ref, strict=True)
+        schedule.listen(gains, axis, y, x, now, taken, anywhere, ops)
+        for axis, y, x, now in zip(state.axes, force, tip.position, wanted, strict=True)
     ]
     listening, dithers, answers = zip(*heard, strict=True)
     filtered = [cascade.filter_force(gains, axis, y) for axis, y in zip(listening, force, strict=True)]
     force, speed = tuple(each for _, each in filtered), apply(tip.jacobian, qd)
-    error = sub(sub(force, answers), tuple(wanted[0] for wanted in force_ref))
+    error = sub(sub(force, answers), wanted)
     if gains.guard is not None and guard is not None:
         guard = gain_backoff.step(gains.guard, guard, error, ops, (*dithers, *answers))
     heart, learned, added = _repeated(gains, state.pulse, [axis for axis, _ in filtered], error, speed, ops)
@@ -156,7 +162,7 @@ def respond(
         known, K2 = schedule.now(gains, controller.K2, axis, ops)
         if guard is not None:
             known = backed_off(known, guard.memory.gain, ops)
-        following, command = cascade.respond(known, axis, y, tuple(plus(wanted, besides) for wanted in ahead))
+        following, command = cascade.respond(known, axis, y, tuple(plus(each, besides) for each in ahead))
         damping.append(times(K2, xdot))
         axes.append(following)
         v.append(command)

@@ -15,7 +15,7 @@ class RecordedInputs(NamedTuple):
     force: Any
     """Measured force on the tissue (n, 3) [N]; NaN where it was missing."""
     force_ref: Any
-    """Wanted force (n, 3), with preview (n, 3, H) [N]."""
+    """Wanted force (n, 3), with preview of the sample and of H after it (n, 3, 1 + H) [N]."""
     applied: Any
     """Joint torques that the limits let pass (n, 4) [N m]."""
     a: Any

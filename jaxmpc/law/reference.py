@@ -8,7 +8,7 @@ A hold has r = A = 0, a ramp A = 0, a sweep r = 0. Simulation and robot fly the 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from jaxmpc.law.scalar import Scalar
+from jaxmpc.law.scalar import Scalar, Vector
 
 PI = 3.141592653589793
 LARGEST, LONGEST, FASTEST = 100.0, 1e4, 500.0
@@ -39,6 +39,35 @@ class Piece(NamedTuple):
 
 Placed = tuple[Piece, float | None, float]
 """A piece, its duration [s] (None: to the end) and the force that the next one starts from [N]."""
+
+
+def told(force_ref: Sequence[Sequence[Sequence[float]]]) -> list[list[tuple[float, ...]]]:
+    """What each sample of a stretch is told by a reference that is known ahead, where rows hold only what is ahead.
+
+    Its own wanted force is the first that the row before it has ahead; nothing tells that of the first row, which takes
+    its own.
+
+    Args:
+        force_ref: Wanted force of each axis 1…H samples ahead (n, 3, H) [N].
+
+    Returns:
+        Wanted force of the sample itself and 1…H samples ahead (n, 3, 1 + H) [N].
+    """
+    befores = [*force_ref[:1], *force_ref[:-1]]
+    return [
+        [(before[0], *ahead) for before, ahead in zip(was, row, strict=True)]
+        for was, row in zip(befores, force_ref, strict=True)
+    ]
+
+
+def split(wanted: Sequence[Sequence[Scalar]], weights: int) -> tuple[Vector, tuple[Sequence[Scalar], ...]]:
+    """Wanted force of a sample itself, 3 scalars, and what its cascades are given, 3 × `weights` [N].
+
+    Args:
+        wanted: One value per axis; or 1 + H, of the sample and of 1…H ahead, where that many are weighed.
+        weights: How many the MPC weighs.
+    """
+    return tuple(axis[0] for axis in wanted), tuple(axis[-weights:] for axis in wanted)
 
 
 def hold(begin: float, level: float, duration: float | None = None) -> Placed:

@@ -162,7 +162,7 @@ def advance(
     met = cell.robot._replace(tissue=tissue._replace(stiffness=tissue.stiffness * now.softening))
     force, true, q, tip, state = robot.sense(chain, structure, met, carry.robot, now.heart, now.noise, ops)
     law = controller_of(loop, cell)
-    controller, command = force_control.step(law, carry.controller, q, force, now.force_ref, ops, push)
+    controller, command = force_control.step(law, carry.controller, q, force, now.force_ref, ops, push, now.wanted)
     wanted = command.torque.torque
     passed, clamped = torque_limits.limit(met.limits, wanted, state.pending[0], ops)
     controller = force_control.applied(controller, command, passed)

@@ -93,7 +93,7 @@ def advance(
     clean, state = contact.sense(world, carry.contact, now.heart)
     force = quantise(clean + now.noise, lsb, ops)
     tip, true = state.x, contact.true_force(world, carry.contact, now.heart)
-    controller, dither, _ = schedule.listen(gains, carry.controller, force, tip, now.force_ref[0], 0.0, SILENT, ops)
+    controller, dither, _ = schedule.listen(gains, carry.controller, force, tip, now.present, 0.0, SILENT, ops)
     known, K2 = schedule.now(gains, world.K2, controller, ops)
     controller, v = cascade.step(known, controller, force, tuple(plus(wanted, dither) for wanted in now.force_ref))
     state, a = contact.move(world._replace(K2=K2), state, v, now.acceleration)

@@ -22,6 +22,7 @@ from jaxmpc.law.friction_compensation import NominalFriction
 from jaxmpc.law.gains import Gains, GainSchedule, Knot, constant_reference, with_gain
 from jaxmpc.law.measurement import Measurement
 from jaxmpc.law.ops import FLOATS
+from jaxmpc.law.reference import split, told
 from jaxmpc.law.stiffness import StiffnessIdentification
 
 K_HAT, K2, T_S = 900.0, 10.0, 1e-3
@@ -210,8 +211,11 @@ def on_floats(
     q, force, _ = (tuple(signal[0]) for signal in inputs)
     state = entry.enter(controller, force_control.init(controller, q, force, compensated), force, (0.0,) * 3, FLOATS)
     v, torques, passed = [], [], []
-    for now, force, wanted in zip(*inputs, strict=True):
-        state, command = force_control.step(controller, state, tuple(now), tuple(force), wanted, FLOATS)
+    angles, forces, references = inputs
+    weights = len(controller.gains.mpc_ref)
+    for now, force, wanted in zip(angles, forces, told(references) if weights > 1 else references, strict=True):
+        present, ahead = split(wanted, weights)
+        state, command = force_control.step(controller, state, tuple(now), tuple(force), ahead, FLOATS, present=present)
         torque = command.torque.torque
         cut = 10.0 if 200 <= len(v) < 240 else 0.2 if len(v) % 7 == 3 else 0.0
         held = (torque[0], torque[1] - cut, *torque[2:])

@@ -64,15 +64,15 @@ def test_missed_samples_are_followed_no_faster_than_three_at_once():
 
 
 @pytest.mark.parametrize("ahead", [1, 5, 64])
-def test_preview_is_what_comes(ahead):
+def test_preview_is_what_is_wanted_and_what_comes(ahead):
     table = ForceTable([0.0, 0.1, 0.2, 0.3], [(0.0, 0.0, 0.0), (0.1, 0.0, -0.4), (0.0, 0.2, -0.1), (0.0, 0.0, 0.0)])
     seen = run(Stream(table, T_S, rate=100.0, ahead=ahead), 400)
     plain = Stream(table, T_S, rate=100.0)
     came = run(plain, 400 + ahead)
     for k, window in enumerate(seen):
         assert len(window) == 3
-        assert [len(axis) for axis in window] == [ahead] * 3
-        assert list(zip(*window, strict=True)) == came[k + 1 : k + 1 + ahead]
+        assert [len(axis) for axis in window] == [1 + ahead] * 3
+        assert list(zip(*window, strict=True)) == came[k : k + 1 + ahead]
 
 
 def test_a_measured_start_that_is_no_number_becomes_zero():

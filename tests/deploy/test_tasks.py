@@ -39,6 +39,28 @@ class Made(TaskController):
         return tip
 
 
+def test_a_force_known_ahead_is_told_with_that_of_the_sample_first():
+    """What is recorded and compared with the measured force is the same, however far the law looks."""
+
+    def flown(ahead):
+        told = []
+        runtime = SimpleNamespace(
+            enter=lambda force, q: None, control=lambda q, qd, force, wanted: told.append(wanted) or REST
+        )
+        controller = TaskController(runtime, ConstantForce((1.0, 0.0, -5.0)), T_S, WAYS, ahead, rate=5.0)
+        recorded = []
+        for _ in range(50):
+            controller.torque(Task.CONTROL, REST, REST, TIP, (0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
+            recorded.append(controller.force_ref)
+        return recorded, told
+
+    blind, told = flown(0)
+    known, seen = flown(4)
+    assert told == blind == known
+    assert blind[0] == (0.0, 0.0, -1.0)
+    assert [tuple(zip(*window, strict=True)) for window in seen[:40]] == [tuple(blind[k : k + 5]) for k in range(40)]
+
+
 @pytest.fixture
 def made():
     return Made()

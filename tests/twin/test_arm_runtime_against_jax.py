@@ -135,6 +135,24 @@ def test_a_guarded_controller_whose_force_swings(designed):
 
 
 @pytest.mark.oracle
+def test_a_guarded_family_that_knows_the_reference_ahead(monkeypatch):
+    """Both judge a force by what the row before had first ahead; guard and listening are in the golden trace."""
+    monkeypatch.setattr(export_golden, "LIMITED_ABOVE", 1.0)
+    experiment = Experiment.published("family-wam")
+    swept = {"kind": "sweep", "amplitude": 2.0, "start": 4.0, "stop": 8.0, "duration": 2.0}
+    known = replace(Experiment.from_dict({"reference": {"z": [swept], "preview": True}}).reference)
+    experiment = replace(experiment, duration=2.0, settle=0.0, reference=known)
+    gains = design(Params.published("family"))
+    assert gains.guard is not None
+    (run,) = simulated_arm_runs(Params.published("family"), experiment, (550.0,))
+    answer = arm_law_trace(gains, float(Params.published("family").K2), experiment, run)
+    artifact = artifact_of(experiment, gains, run, answer, float(Params.published("family").K2))
+    v, torque = replay(artifact)
+    assert v <= TOLERANCE
+    assert torque <= TOLERANCE
+
+
+@pytest.mark.oracle
 def test_another_law_would_be_seen(frozen):
     """A mass that is a billionth off."""
     _, artifact = frozen

@@ -15,6 +15,7 @@ from deploy.flight.replay import KNOWN, SETTLING, compare, inputs_of, through_ru
 from jaxmpc.cli import replay as verb
 from jaxmpc.cli.flight_report import _states
 from jaxmpc.files.errors import InputError
+from jaxmpc.law.reference import told
 from jaxmpc.pictures import recording_figure
 from jaxmpc.pictures.figures import figure
 from tests.deploy import made
@@ -33,6 +34,7 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
     runtime, recorder = arm_runtime(artifact), FlightRecorder(seconds=seconds)
     swing = made.SWING if artifact.gains.guard else 0.0
     q_all, force_all, wanted_all = made.recorded_inputs(samples, width=64 if artifact.preview else 1, swing=swing)
+    wanted_all = told(wanted_all) if artifact.preview else wanted_all
     runtime.start(tuple(q_all[0]))
     for k in range(samples):
         q, force = tuple(q_all[k]), tuple(force_all[k])
@@ -76,12 +78,13 @@ def flight(tmp_path_factory):
     return flown(tmp_path_factory.mktemp("plain"))
 
 
-@pytest.fixture(scope="module", params=["preview", "compensated", "guarded", "observed", "scheduled"])
+@pytest.fixture(scope="module", params=["preview", "compensated", "guarded", "observed", "scheduled", "foreseeing"])
 def other_flight(request, tmp_path_factory):
     special = {
         "guarded": {"gains": made.guarded_gains()},
         "observed": {"momentum_observer": 60.0},
         "scheduled": {"gains": made.scheduled_gains()},
+        "foreseeing": {"gains": made.scheduled_gains(), "preview": True},
     }
     options = special.get(request.param) or {request.param: True}
     return flown(tmp_path_factory.mktemp(request.param), **options)
@@ -112,7 +115,7 @@ def test_a_flight_is_replayed_by_the_runtime_to_the_last_bit(other_flight):
     assert (np.max(known) > 0.0) == (artifact.gains.schedule is not None)
     assert (np.max(recording.signals["authority"]) > 0.0) == (artifact.gains.schedule is not None)
     assert (np.max(np.abs(recording.signals["dither"])) > 0.1) == (artifact.gains.schedule is not None)
-    known = 1000 - (63 if artifact.preview else 0)  # the last wanted forces lie beyond the contact
+    known = 1000 - (64 if artifact.preview else 0)  # the last wanted forces lie beyond the contact
     assert rows["v"].samples == known
     assert rows["wanted"].samples == known + 500
     assert rows["qd"].samples == 1500 - 301
