@@ -4,7 +4,7 @@ import errno
 import os
 import select
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import NamedTuple
 
@@ -78,11 +78,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             reconfigure(errors="replace")
     silence_libraries()
     one_thread_for_blas()
-    with folded_output(), always_heard():
-        return _main(argv)
+    with folded_output(), always_heard() as struck:
+        return _main(argv, struck)
 
 
-def _main(argv: Sequence[str] | None) -> int:
+def _main(argv: Sequence[str] | None, struck: Callable[[], bool]) -> int:
     argv = list(sys.argv[1:] if argv is None else argv)
     chosen = next((word for word in argv if not word.startswith("-")), None)
     if chosen not in VERBS:
@@ -97,8 +97,10 @@ def _main(argv: Sequence[str] | None) -> int:
         return _run(chosen, argv)
     except InputError as error:
         return _told(chosen, f"{error}", 2)
-    except ModuleNotFoundError as error:
-        if error.name not in _WORKSTATION:
+    except ImportError as error:
+        if struck():
+            return _told(chosen, "interrupted", 130)
+        if not isinstance(error, ModuleNotFoundError) or error.name not in _WORKSTATION:
             raise
         return _told(chosen, f"it needs {error.name}: install the workstation, jaxmpc[sim]", 2)
     except KeyboardInterrupt:

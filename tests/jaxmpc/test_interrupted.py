@@ -313,3 +313,29 @@ def test_ctrl_c_while_a_verb_is_imported_is_one_line(
     monkeypatch.setattr("jaxmpc.cli.import_module", struck)
     assert main(["simulate", "short.toml"]) == 130
     assert capsys.readouterr().err == "jaxmpc simulate: interrupted\n"
+
+
+def test_ctrl_c_while_an_extension_is_loaded_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those of NumPy and JAX then say that they could not be loaded."""
+
+    def struck(name: str) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("Encountered an error while initializing the extension.") from None
+
+    monkeypatch.setattr("jaxmpc.cli.import_module", struck)
+    assert main(["simulate", "short.toml"]) == 130
+    assert capsys.readouterr().err == "jaxmpc simulate: interrupted\n"
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_extension_that_cannot_be_loaded_is_no_interruption(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(name: str) -> None:
+        raise ImportError("Encountered an error while initializing the extension.")
+
+    monkeypatch.setattr("jaxmpc.cli.import_module", broken)
+    with pytest.raises(ImportError, match="initializing"):
+        main(["simulate", "short.toml"])
