@@ -13,11 +13,12 @@ from jaxmpc.closed_loops import ClosedLoops, Outcome, margins_of, outcome_of, ru
 from jaxmpc.engine.base import CellResults
 from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
 from jaxmpc.experiment import Experiment, Physics
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, check_type, nearest
 from jaxmpc.stability import Margins
 from jaxmpc.stability.loop import contacts_between
 from jaxmpc.synthesis import designed
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.values import MAKE_PARAMS
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 from jaxmpc.xla.rows import reshaped, traced
@@ -61,8 +62,11 @@ def evaluate(
         Metrics and margins per stiffness (and axis); see `Outcome`.
 
     Raises:
-        InputError: The physics or precision is unknown.
+        InputError: The physics or precision is unknown, or an argument is of another type.
     """
+    check_type("params", params, Params, MAKE_PARAMS)
+    remedy = 'Make one with Experiment.published("table-1"), Experiment.from_toml(FILE) or Experiment(…).'
+    check_type("experiment", experiment, Experiment, remedy)
     experiment = with_physics(experiment, physics)
     for key, value, kind in (("physics", experiment.physics, Physics), ("precision", precision, Precision)):
         if value not in get_args(kind):

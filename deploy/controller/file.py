@@ -125,9 +125,7 @@ def check_kind(path: Path) -> None:
         InputError: It is a folder or a device, or a file of parameters.
     """
     if path.suffix == ".toml":
-        remedy = (
-            f"It holds parameters: `jaxmpc freeze {path} --experiment table-1-wam -o controller.npz` makes one of it."
-        )
+        remedy = f"If it holds parameters, `jaxmpc freeze {path} --experiment table-1-wam -o controller.npz` makes one."
         raise InputError("artifact", path, "a frozen controller (.npz)", remedy)
     if path.exists() and not path.is_file():
         raise InputError("artifact", path, "a file", "It is a folder or a device.")

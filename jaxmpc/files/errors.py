@@ -75,6 +75,16 @@ def plain_name(key: str, name: str) -> str:
     raise InputError(key, name, bound, "It becomes the name of a file.")
 
 
+def check_type(key: str, value: Any, kind: type, remedy: str) -> None:
+    """Refuse an argument of another type, such as a name in the place of what has that name.
+
+    Raises:
+        InputError: It is none of the kind.
+    """
+    if not isinstance(value, kind):
+        raise InputError(key, value, f"of the type {kind.__name__}", remedy)
+
+
 def nearest(name: Any, known: list[str]) -> str:
     """A remedy for an unknown name, or for what is none: the likeliest meant one, and all that exist."""
     import difflib

@@ -14,6 +14,14 @@ from jaxmpc.files.foreign import read_text, toml_of
 
 T = TypeVar("T", bound=msgspec.Struct)
 
+_KINDS = (
+    (("tune", "goals"), "a tuning job, which `jaxmpc tune` takes"),
+    (("sweep",), "the spec of a sweep, which `jaxmpc sweep` takes"),
+    (("params",), "parameters, which go with `--params`"),
+    (("physics", "duration", "stiffness"), "an experiment, which `jaxmpc simulate` takes"),
+)
+"""Tables or keys that files of one kind have, and what these are; a job has parameters, too."""
+
 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """The content of a TOML file.
@@ -142,16 +150,30 @@ def known_keys(kind: type[msgspec.Struct], table: dict[str, Any], root: str = ""
     names = [field.encode_name for field in msgspec.structs.fields(kind)]
     for key, value in table.items():
         if key not in names:
-            raise InputError(f"{root}.{key}".lstrip("."), value, "a known key", nearest(key, names))
+            remedy = nearest(key, names) if root else meant(table, names) or nearest(key, names)
+            raise InputError(f"{root}.{key}".lstrip("."), value, "a known key", remedy)
 
 
 def known_tables(data: Mapping[str, Any], names: Sequence[str]) -> None:
     """Refuse a table that a file does not have, and what is none."""
     for name, table in data.items():
         if name not in names:
-            raise InputError(name, table, "a known table", nearest(name, list(names)))
+            raise InputError(name, table, "a known table", meant(data, names) or nearest(name, list(names)))
         if not isinstance(table, dict):
             raise InputError(name, table, "a table", f"Put its keys under [{name}].")
+
+
+def meant(data: Mapping[str, Any], names: Sequence[str]) -> str:
+    """A remedy for a file of another kind than the one that is read; empty if it does not look like one.
+
+    Args:
+        data: Its content.
+        names: What a file of the wanted kind may have.
+    """
+    for marks, kind in _KINDS:
+        if any(mark in data for mark in marks):
+            return "" if any(mark in names for mark in marks) else f"The file looks like {kind}."
+    return ""
 
 
 def _lookup(data: Any, path: str) -> Any:

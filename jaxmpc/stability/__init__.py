@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxmpc import described
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, check_type
 from jaxmpc.law.gains import Gains
 from jaxmpc.stability.controller import TransferFunction, controller_of
 from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
@@ -22,6 +22,7 @@ from jaxmpc.stability.response import loop_around
 from jaxmpc.status import Status
 from jaxmpc.synthesis import designed
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.values import MAKE_PARAMS
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath, loop_path
 from jaxmpc.xla.blocks import padded
@@ -191,15 +192,16 @@ def margins(
         ideal: False: the loop as it runs (K₂ẋ sampled, delayed and low-passed at 180 rad/s, force
             low-passed at 500 Hz), cut at v and at a, the worse counts. True: the paper's (6), ideal
             damping, cut at v.
-        path: Delay, sampling and filters of another loop, instead of `delay` and `ideal`: that of an experiment is
-            `Experiment.loop_path`. Filters that the parameters have take the place of its own.
+        path: Delay, sampling and filters of another loop, instead of `delay` and `ideal`, never beside them: that of
+            an experiment is `Experiment.loop_path`. Filters that the parameters have take the place of its own.
 
     Returns:
         Margins, each of the batch's shape followed by that of `stiffness`.
 
     Raises:
-        InputError: A stiffness is not positive, the delay is not 1 or 2, or the batch is empty.
+        InputError: A stiffness is not positive, the delay is not 1 or 2 or beside a path, or the batch is empty.
     """
+    check_type("params", params, Params, MAKE_PARAMS)
     values = _real(stiffness)
     if not isinstance(values, jax.core.Tracer) and not bool(jnp.all((values > 0.0) & jnp.isfinite(values))):
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
@@ -207,6 +209,10 @@ def margins(
         raise InputError("stiffness", "none", "at least one [N/m]", "Tissue has 300 to 1900.")
     if path is None:
         path = loop_path(delay=delay, ideal=ideal)
+    elif delay != 1 or ideal:
+        given = f"{delay} beside a path" if delay != 1 else "True beside a path"
+        remedy = "The path has its own: take `Experiment.loop_path(ideal)` of an experiment with that delay."
+        raise InputError("delay" if delay != 1 else "ideal", given, "left out", remedy)
     if 0 in params.batch_shape:
         raise InputError("params", "an empty batch", "at least one controller", "Take rows that are there.")
     flat = reshaped(params, len(params.batch_shape), -1)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxmpc.files.errors import check_type
 from jaxmpc.law import gain_backoff
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.gains import Gains, GainSchedule, Knot, with_gain
@@ -24,7 +25,7 @@ from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.plant import closed_loop_model, contact_model
 from jaxmpc.synthesis.sampling import check_sampling
 from jaxmpc.synthesis.timing import Timing
-from jaxmpc.synthesis.values import least_horizon
+from jaxmpc.synthesis.values import MAKE_PARAMS, least_horizon
 from jaxmpc.xla import ops
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
@@ -173,8 +174,10 @@ def design(params: Params, timing: Timing | None = None, force_filter: ForceFilt
         L (…, 3), K (…, 3 + N), mpc_ref (…, 64), mpc_x (…, 2), mpc_u (…), … in float64; see `Gains`.
 
     Raises:
-        InputError: At this sampling time a part of the controller would do nothing (`check_sampling`).
+        InputError: At this sampling time a part of the controller would do nothing (`check_sampling`), or what was
+            given are no `Params`.
     """
+    check_type("params", params, Params, MAKE_PARAMS)
     batch = params.batch_shape
     gains, _ = designed(reshaped(params, len(batch), -1), (timing or Timing()).T_s, force_filter)
     return reshaped(gains, 1, *batch)

@@ -142,12 +142,15 @@ class Params(eqx.Module, ParameterValues):
         Raises:
             InputError: The file cannot be read or holds something wrong; names file, line and key.
         """
-        from jaxmpc.files.toml import located, read_toml
+        from jaxmpc.files.toml import located, meant, read_toml
 
         data = read_toml(path)
         with located(path):
             if unknown := [key for key in data if key not in ("params", "provenance")]:
-                raise InputError(unknown[0], data[unknown[0]], "a known table", nearest(unknown[0], ["params"]))
+                remedy = meant(data, ["params"]) or nearest(unknown[0], ["params"])
+                if unknown[0] in PARAMETERS:
+                    remedy = "Put the parameters under [params]."
+                raise InputError(unknown[0], data[unknown[0]], "a known table", remedy)
             if not isinstance(table := data.get("params"), dict):
                 raise InputError("params", "missing", "a table", "Put the parameters under [params].")
             return Params.from_dict(table)

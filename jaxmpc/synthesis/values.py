@@ -60,6 +60,10 @@ def from_plain(name: str, value: Any) -> np.ndarray:
 BATCHES = "Make a batch with Params.stack or with_columns."
 
 
+MAKE_PARAMS = 'Make one with Params.published("text"), Params.from_toml(FILE) or Params(lam=0.2).'
+"""What to do about an argument that is no Params."""
+
+
 def batch_of(values: Mapping[str, Any]) -> tuple[int, ...]:
     """Leading dimensions that all numbers of a controller, or of a batch, share.
 

@@ -40,7 +40,14 @@ def read_recording(path: str | Path, unit: str = "m") -> tuple[np.ndarray, np.nd
     names, table = _read_table(path)
     if sorted(names) != sorted(COLUMNS):
         found, line = ", ".join(names) or "none", None if path.suffix == ".npz" else 1
-        raise InputError("columns", found, ", ".join(COLUMNS), "Name the columns t [s], x, y, z.", path, line)
+        raise InputError(
+            "columns",
+            found,
+            ", ".join(COLUMNS),
+            "Name them in the first line, without units; t is in seconds.",
+            path,
+            line,
+        )
     t, *axes = (table[names.index(name)] for name in COLUMNS)
     values = np.stack(axes, axis=1) * {"m": 1.0, "mm": 1e-3}[unit]
     _check_recording(path, t, values)
