@@ -30,8 +30,12 @@ OF_THE_BUS: Mapping[str, Any] = {
     "home": False,
 }
 """Those of a bus and of the computer on it."""
-CONTACTS = {"approach_speed": (0.1, 50.0), "approach_limit": (1.0, 200.0), "retract": (1.0, 200.0)}
-"""Bounds [mm/s], [mm], [mm]."""
+CONTACTS = {
+    "approach_speed": (0.1, 50.0, "mm/s", "The tissue is soft: go slowly."),
+    "approach_limit": (1.0, 200.0, "mm", "60 is usual."),
+    "retract": (1.0, 200.0, "mm", "30 is usual."),
+}
+"""Bounds, their unit, and what to do about a value beyond them."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -112,12 +116,10 @@ def check(args: argparse.Namespace) -> None:
             raise InputError(f"--{name.replace('_', '-')}", said, bound, remedy)
     if not args.lockstep:
         check_flags(args, ", or fly against the twin, --lockstep")
-    for name, (low, high) in CONTACTS.items():
+    for name, (low, high, unit, remedy) in CONTACTS.items():
         if not low <= getattr(args, name) <= high:
-            bound = f"in [{low:g}, {high:g}]"
-            raise InputError(
-                f"--{name.replace('_', '-')}", getattr(args, name), bound, "The tissue is soft: go slowly."
-            )
+            bound = f"in [{low:g}, {high:g}] {unit}"
+            raise InputError(f"--{name.replace('_', '-')}", getattr(args, name), bound, remedy)
     if not 0.0 < args.duration <= 86400.0:
         raise InputError("--duration", args.duration, "in (0, 86400] s", "Ctrl-C ends a run at any time.")
     if not 0.0 < args.rate <= 100.0:

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from deploy.twin.settings import TwinSettings
 from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.files.toml import convert, known_keys, located, read_toml
+from jaxmpc.files.toml import convert, known_keys, located, meant, read_toml
 from jaxmpc.world.heart.motion import Motion
 
 HEARTS = ("harmonics", "none")
@@ -134,7 +134,8 @@ def _of_experiment(name: str) -> dict[str, Any]:
     with located(path):
         for key, value in data.items():
             if key not in EXPERIMENT:
-                raise InputError(key, value, "a known key", nearest(key, list(EXPERIMENT)))
+                remedy = meant(data, EXPERIMENT) or nearest(key, list(EXPERIMENT))
+                raise InputError(key, value, "a known key", remedy)
         arm: ArmSettings = _table(data, "arm", ArmSettings)
         tissue: TissueSettings = _table(data, "tissue", TissueSettings)
         motion: Motion = _table(data, "motion", Motion)

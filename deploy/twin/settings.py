@@ -91,10 +91,10 @@ class TwinSettings:
         convert(msgspec.to_builtins(self.tissue), TissueSettings, "tissue")
         convert(msgspec.to_builtins(self.motion), Motion, "motion")
         _one_of("frame", self.frame, ("world", "tool"))
-        _within("stiffness", self.stiffness, 1.0, 1e5)
-        _within("delay", self.delay, 0, 10)
+        _within("stiffness", self.stiffness, 1.0, 1e5, "N/m")
+        _within("delay", self.delay, 0, 10, "ms")
         _within("substeps", self.substeps, 1, 64)
-        _within("gap", self.gap, 0.0, 0.3)
+        _within("gap", self.gap, 0.0, 0.3, "m")
         _within("counts", self.counts, 16, 2**20)
         for name in ("mass_scale", "presliding", "pull_off", "heartbeat_s"):
             _within(name, getattr(self, name), 1e-6, 1e6)
@@ -112,6 +112,6 @@ def _one_of(key: str, value: str, known: tuple[str, ...]) -> None:
         raise InputError(key, value, "a known name", nearest(value, list(known)))
 
 
-def _within(key: str, value: Any, low: float, high: float) -> None:
+def _within(key: str, value: Any, low: float, high: float, unit: str = "") -> None:
     if not (math.isfinite(value) and low <= value <= high):
-        raise InputError(key, value, f"in [{low:g}, {high:g}]", "Choose another value.")
+        raise InputError(key, value, f"in [{low:g}, {high:g}] {unit}".rstrip(), "Choose another value.")

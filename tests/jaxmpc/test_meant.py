@@ -36,6 +36,8 @@ FILES = {
         ("tune sweep.toml", "looks like the spec of a sweep"),
         ("tune experiment.toml", "looks like an experiment"),
         ("tune misspelt.toml", "Did you mean 'experiment'?"),
+        ("twin --experiment params.toml", "looks like parameters"),
+        ("twin --stiffness -4", "in [1, 100000] N/m"),
         ("check experiment.toml", "If it holds parameters, `jaxmpc freeze"),
     ],
 )
