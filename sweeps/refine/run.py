@@ -19,6 +19,7 @@ from jaxmpc.files.sealed import digest
 from sweeps import store
 from sweeps.interrupt import gently
 from sweeps.plan import make_plan
+from sweeps.rates import samples_of
 from sweeps.refine.proposal import around, survivors
 from sweeps.result import AROUND, FULL, RERUN, SCREEN, Result, merged, of_stages
 from sweeps.run import run as run_plain
@@ -60,8 +61,7 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
         for leg in _legs(spec, spec.refine, done):
             if done and stop():
                 return of_stages(done, ended=False)
-            rows, experiment = len(leg.spec.space.rows()), leg.spec.experiment
-            told(f"{leg.name}: {rows} rows on {experiment.physics}, {rows * experiment.steps:.3g} steps a tissue")
+            told(_announced(leg))
             result = run_plain(leg.spec, folder / "stages" / leg.name, told=told, **how)
             done.append((leg.name, result))
             if not result.complete:
@@ -88,6 +88,15 @@ def described(spec: SweepSpec) -> tuple[dict[str, Any], str]:
     canonical = {"sweep": make_plan(spec).canonical, "goal": goal, "refine": refine}
     plain = msgspec.json.decode(msgspec.json.encode(canonical))
     return plain, digest(plain)
+
+
+def _announced(leg: Leg) -> str:
+    """How many rows a stage has, on what, and what they cost, for a person."""
+    plan = make_plan(leg.spec)
+    swept = {axis.name: axis.values for axis in plan.space.axes}
+    physics = " and ".join(swept.get("physics", (leg.spec.experiment.physics,)))
+    steps = len(plan.rows) * samples_of(plan) / len(plan.stiffness)
+    return f"{leg.name}: {len(plan.rows)} rows on {physics}, {steps:.3g} steps a tissue"
 
 
 def _legs(spec: SweepSpec, refine: RefineTable, done: list[tuple[str, Result]]) -> Iterator[Leg]:

@@ -195,6 +195,29 @@ def test_rows_of_one_choice_are_of_one_kind(spec: SweepSpec) -> None:
     assert columns["architecture"].tolist() == [0.0, 1.0] * 4
 
 
+@pytest.mark.parametrize(
+    ("axes", "stage", "told"),
+    [
+        ({"duration": [1.0, 3.0]}, {"sampling_time": 0.002}, ["8 rows on linear, 8e+03", "4 rows on linear, 8e+03"]),
+        ({"sampling_time": {"values": [1.0, 0.5], "relative": True}}, {}, ["8 rows on linear, 1.2e+04"]),
+        ({"physics": ["linear", "wam"]}, {}, ["8 rows on linear and wam, 8e+03"]),
+    ],
+)
+def test_steps_of_a_stage_are_those_of_its_rows(
+    axes: dict[str, Any], stage: dict[str, Any], told: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    sweep = {"kind": "grid", "axes": {**axes, "lam": {"log": [0.01, 1.0], "points": 4}}}
+    table = {"method": "halving", "stages": [{"keep": 4, "experiment": stage}]}
+    lines: list[str] = []
+    # The rows themselves are not asked for: the first four of a stage go on.
+    done = Namespace(complete=True, hash="")
+    monkeypatch.setattr("sweeps.refine.run.run_plain", lambda *_, **__: done)
+    monkeypatch.setattr("sweeps.refine.run.survivors", lambda result, keep: (0, 1, 4, 5))
+    monkeypatch.setattr(Result, "load", lambda folder: done)
+    refine(SweepSpec.from_dict({**DATA, "sweep": sweep, "refine": table}), tmp_path / "run", told=lines.append)
+    assert [line.partition(": ")[2].removesuffix(" steps a tissue") for line in lines][: len(told)] == told
+
+
 def unfinished(tmp_path: Path, spec: SweepSpec, chunks: dict[str, int]) -> tuple[Path, Result]:
     """A refined sweep in chunks of 10 rows as a kill leaves it: of each stage so many of its first chunks are gone."""
     folder = tmp_path / spec.refine.method if spec.refine else tmp_path
