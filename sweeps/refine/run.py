@@ -56,6 +56,8 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
     assert spec.refine is not None
     folder = Path(folder)
     store.prepare_refined(folder, *described(spec))
+    if (finished := _finished(folder)) is not None:
+        return finished
     done: list[tuple[str, Result]] = []
     with gently(how.get("gentle", False)) as stop:
         for leg in _legs(spec, spec.refine, done):
@@ -68,6 +70,14 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
                 return of_stages(done, ended=False)
     store.write_summary(folder, {"stages": {name: result.hash for name, result in done}})
     return Result.load(folder)
+
+
+def _finished(folder: Path) -> Result | None:
+    """The result as it was when all stages were there, if they still are; another version may propose other rows."""
+    if not (listed := store.read_summary(folder).get("stages")):
+        return None
+    found = Result.load(folder)
+    return found if found.complete and {name: stage.hash for name, stage in found.stages} == listed else None
 
 
 def check(folder: Path, spec: SweepSpec) -> bool:

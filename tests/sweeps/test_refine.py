@@ -58,6 +58,33 @@ DATA: dict[str, Any] = {
 }
 
 
+OVER_MARGINS = """\
+[experiment]
+published = "table-1"
+duration = 1.0
+settle = 0.3
+stiffness = [375.0, 1900.0]
+reference = { z = -5.0 }
+force_limit = 0.5
+
+[params]
+published = "cautious"
+
+[sweep]
+kind = "random"
+rows = 20
+decide = 0
+axes = { lam = { log = [0.01, 1.0] }, T_cl = { log = [0.001, 0.01] } }
+
+[refine]
+method = "pareto"
+goals = ["M_s", "gain_margin_db"]
+rounds = 1
+points = 5
+"""
+"""Every row passes its force limit, and has its margins."""
+
+
 def made(**table: Any) -> SweepSpec:
     return SweepSpec.from_dict({**DATA, "refine": table})
 
@@ -265,6 +292,29 @@ def test_a_row_around_a_front_has_its_number_from_the_beginning(tmp_path: Path) 
     assert refine(spec, folder).hash == found.hash
     (folder / "result.json").unlink()
     assert not sweeps.load(folder).complete, "a round may be missing"
+
+
+def test_what_is_finished_stays_whatever_a_front_would_be_today(
+    tmp_path: Path,
+    write_spec: Callable[[str], Path],
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Rows that fail stood on fronts of margins once, and what came of that is not to be computed anew."""
+    path, folder = write_spec(OVER_MARGINS), tmp_path / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        # As it was then: a row counted whatever its status.
+        patch.setattr(Result, "ok", property(lambda result: np.ones(len(result), bool)))
+        assert command("sweep", path, "-o", folder, "--quiet") == 0
+    found = sweeps.load(folder)
+    assert found.complete
+    first = found.stages[0][1]
+    assert not first.pareto("M_s", "gain_margin_db")["row"].tolist(), "no row is OK"
+    files = {file: file.stat().st_mtime_ns for file in folder.rglob("*") if file.is_file()}
+    capsys.readouterr()
+    assert command("sweep", path, "-o", folder, "--quiet") == 0
+    assert f"result {found.hash}" in capsys.readouterr().out
+    assert {file: file.stat().st_mtime_ns for file in folder.rglob("*") if file.is_file()} == files
 
 
 class Interrupted(Alone):
