@@ -14,15 +14,17 @@ from jaxmpc.beside import Beside
 from jaxmpc.status import Status
 from jaxmpc.terminal.progress import Tick
 from jaxmpc.terminal.progress import progress as progress_of
-from sweeps import chunks, store
+from sweeps import chunks, environments, store
 from sweeps.chunks import StoredChunks
 from sweeps.compute import baseline, compiles_long, round_of
 from sweeps.crew import Alone, ComputedChunk, Crew
 from sweeps.decided import folder_of, likely_in_float64, plan_in_float64, read_again, with_decided
+from sweeps.engines import engine_of
 from sweeps.goal import MEASURED, SweepGoal
 from sweeps.interrupt import gently
 from sweeps.judged import Point, baseline_of, keeps, worst
 from sweeps.leases import SILENCE, Leases
+from sweeps.machine import environment
 from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan, check_chunk, make_plan
 from sweeps.result import Result
@@ -88,6 +90,7 @@ def run(
 
     def computed(plan: Plan, folder: Path, chunk: int | None, stop: Callable[[], bool]) -> Result:
         store.prepare(folder, plan)
+        environments.note(folder, environment(engine_of(plan)))
         found = chunks.read_chunks(folder, plan, mend=True)
         leases = Leases(folder, silence)
         try:
@@ -172,7 +175,7 @@ def _keep(
             leases.set_aside((piece.first, piece.last), piece.error)
         else:
             if piece.environment:
-                store.prepare(folder, plan, [piece.environment])
+                environments.note(folder, piece.environment)
             chunks.write_chunk(folder, plan, piece.first, piece.last, piece.columns)
             found.add(piece.first, piece.last, piece.columns)
             share.done((piece.first, piece.last))

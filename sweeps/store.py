@@ -1,6 +1,7 @@
 """A sweep's folder: a manifest beside its chunks, whose spec says what they are of.
 
-manifest.json                    the canonical spec, its hash, how rows are ranked, the environments that computed
+manifest.json                    the canonical spec, its hash, how rows are ranked
+environments/0123456789ab.json   where rows were computed (`sweeps.environments`)
 recordings/…                     the content of recordings that the spec names
 chunks/000000000-000002048.npz   planned rows 0 … 2047, sealed (`sweeps.chunks`)
 leases/, aside/                  who works on what, and what is given up (`sweeps.leases`)
@@ -8,9 +9,8 @@ result.json                      the hash of the result, once every row is there
 """
 
 import json
-import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,10 @@ import msgspec
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.foreign import LARGEST_JSON, LARGEST_RECORDING, json_of, read_bytes, read_text
 from jaxmpc.files.sealed import canonical_json, digest, write_atomic
-from sweeps.engines import engine_of
 from sweeps.goal import SweepGoal
-from sweeps.machine import environment
 from sweeps.plan import SCHEMA, Plan
 
 REFINED = "jaxmpc-refine/1"
-log = logging.getLogger(__name__)
 
 
 def read_plan(folder: Path) -> Plan:
@@ -34,7 +31,7 @@ def read_plan(folder: Path) -> Plan:
     Raises:
         InputError: The folder holds none, or one that was changed by hand.
     """
-    manifest = _read(folder / "manifest.json")
+    manifest = read_manifest(folder)
     if str(manifest.get("schema", "")).startswith("jaxmpc-sweep/") and manifest["schema"] != SCHEMA:
         raise InputError("schema", manifest["schema"], SCHEMA, "Another version made it: run the spec anew with -o.")
     if manifest.get("schema") != SCHEMA or not isinstance(manifest.get("spec"), dict):
@@ -50,6 +47,11 @@ def read_plan(folder: Path) -> Plan:
     except (InputError, LookupError, TypeError, ValueError) as error:
         raise InputError("spec", folder / "manifest.json", "that of a sweep", f"It cannot be read: {error}.") from None
     return plan
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """What the manifest of a folder says; empty where there is none."""
+    return _read(folder / "manifest.json")
 
 
 def check(folder: Path, plan: Plan) -> bool:
@@ -70,7 +72,7 @@ def check_refined(folder: Path, spec: Mapping[str, Any], spec_hash: str) -> bool
     """The same of a refined sweep, whose spec is plain data."""
     if not _begun(folder):
         return False
-    there = _read(folder / "manifest.json")
+    there = read_manifest(folder)
     if there.get("schema") != REFINED:
         raise InputError("output folder", folder, "empty or a refined sweep's", "It holds another: choose with -o.")
     if there.get("spec_hash") != spec_hash:
@@ -87,7 +89,7 @@ def prepare_refined(folder: Path, spec: Mapping[str, Any], spec_hash: str) -> No
     """
     if not check_refined(folder, spec, spec_hash):
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomic(folder / "manifest.json", _pretty({"schema": REFINED, "spec_hash": spec_hash, "spec": spec}))
+        write_atomic(folder / "manifest.json", pretty({"schema": REFINED, "spec_hash": spec_hash, "spec": spec}))
     (folder / "stages").mkdir(exist_ok=True)
 
 
@@ -115,37 +117,19 @@ def _begun(folder: Path) -> bool:
     return True
 
 
-def prepare(folder: Path, plan: Plan, environments: Sequence[Mapping[str, str]] = ()) -> None:
-    """Make the folder, or note that it is being continued.
-
-    Args:
-        folder: The sweep's.
-        plan: What is swept.
-        environments: In which rows are going to be computed, where that is not here.
+def prepare(folder: Path, plan: Plan) -> None:
+    """Make the folder, unless it is there; how rows are ranked is noted anew.
 
     Raises:
         InputError: See `check`.
         OSError: The folder cannot be written.
     """
-    there = _read(folder / "manifest.json") if check(folder, plan) else {}
+    there = read_manifest(folder) if check(folder, plan) else {}
     folder.mkdir(parents=True, exist_ok=True)
-    known = there.get("environments", [])
-    if not isinstance(known, list):
-        raise InputError("environments", known, "a list", "The manifest was changed by hand.", folder / "manifest.json")
-    new = [dict(each) for each in (environments or [environment(engine_of(plan))]) if each not in known]
     goal = msgspec.to_builtins(plan.goal)
-    if new or there.get("goal") != goal:
-        if new and known:
-            changed = ", ".join(differences(known[-1], new[0]))
-            log.warning("this sweep was begun in another environment (%s): bits of its rows may differ", changed)
-        manifest = {
-            "schema": SCHEMA,
-            "spec_hash": plan.spec_hash,
-            "goal": goal,
-            "environments": [*known, *new],
-            "spec": plan.canonical,
-        }
-        write_atomic(folder / "manifest.json", _pretty(manifest))
+    if there.get("goal") != goal:
+        manifest = {"schema": SCHEMA, "spec_hash": plan.spec_hash, **there, "goal": goal, "spec": plan.canonical}
+        write_atomic(folder / "manifest.json", pretty(manifest))
     for name, content in plan.files.items():
         path = folder / "recordings" / name.removeprefix("sha256:")
         path.parent.mkdir(exist_ok=True)
@@ -167,8 +151,8 @@ def stage_folders(folder: Path) -> list[Path]:
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """Write `result.json`, unless it is there already with this content."""
     path = folder / "result.json"
-    if not path.exists() or path.read_bytes() != _pretty(summary):
-        write_atomic(path, _pretty(summary))
+    if not path.exists() or path.read_bytes() != pretty(summary):
+        write_atomic(path, pretty(summary))
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
@@ -195,7 +179,8 @@ def _brief(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
-def _pretty(data: Mapping[str, Any]) -> bytes:
+def pretty(data: Mapping[str, Any]) -> bytes:
+    """A table as the text of a JSON file."""
     return (json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 

@@ -5,15 +5,20 @@ import random
 import resource
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
 
+from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import SEAL
 from sweeps import chunks as stored
 from sweeps import store
+from sweeps.environments import noted
+from sweeps.goal import SweepGoal
+from sweeps.machine import processor
 from sweeps.plan import Plan, make_plan
 from sweeps.result import Result
 from sweeps.run import run
@@ -105,16 +110,55 @@ def test_a_folder_killed_before_its_first_chunk_goes_on(spec: SweepSpec, finishe
 
 
 def test_another_environment_is_said(copy: Path, spec: SweepSpec, caplog: pytest.LogCaptureFixture) -> None:
-    path = copy / "manifest.json"
-    manifest = json.loads(path.read_text())
-    manifest["environments"][0]["jaxlib"] = "0.0.1"
-    path.write_text(json.dumps(manifest))
+    (path,) = (copy / "environments").iterdir()
+    path.write_text(json.dumps({**json.loads(path.read_text()), "jaxlib": "0.0.1"}))
+    path.rename(path.with_name("000000000001.json"))
     run(spec, copy)
     assert 'jaxlib: there "0.0.1"' in caplog.text
-    assert len(json.loads(path.read_text())["environments"]) == 2
+    assert len(noted(copy)) == 2
     caplog.clear()
     run(spec, copy)
     assert caplog.text == ""
+
+
+def test_environments_in_a_manifest_from_before_count(
+    copy: Path, spec: SweepSpec, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, (here,) = copy / "manifest.json", noted(copy)
+    manifest = json.loads(path.read_text())
+    shutil.rmtree(copy / "environments")
+    path.write_text(json.dumps({**manifest, "environments": [here]}))
+    run(spec, copy)
+    assert (caplog.text, noted(copy)) == ("", [here])
+    path.write_text(json.dumps({**manifest, "environments": [{**here, "jaxlib": "0.0.1"}]}))
+    run(spec, copy)
+    assert 'jaxlib: there "0.0.1"' in caplog.text
+    assert noted(copy) == [{**here, "jaxlib": "0.0.1"}, here]
+    # How rows are ranked is written anew, and who computed stays.
+    run(replace(spec, goal=SweepGoal("true_rms", decide=0)), copy)
+    assert noted(copy) == [{**here, "jaxlib": "0.0.1"}, here]
+    path.write_text(json.dumps({**manifest, "environments": 3}))
+    with pytest.raises(InputError, match="environments = 3: must be a list"):
+        noted(copy)
+
+
+def test_two_hosts_that_begin_at_once_are_both_noted(
+    spec: SweepSpec, finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, write, hosts = tmp_path / "run", store.write_atomic, ["another processor"]
+
+    def overtaken(path: Path, data: bytes) -> None:
+        if path.name == "manifest.json" and hosts:
+            # The other host does all of its work between this one's look at the folder and its manifest.
+            other = hosts.pop()
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("sweeps.machine.processor", lambda: other)
+                assert run(spec, folder).hash == finished[1].hash
+        write(path, data)
+
+    monkeypatch.setattr(store, "write_atomic", overtaken)
+    assert run(spec, folder).hash == finished[1].hash
+    assert [each["cpu"] for each in noted(folder)] == ["another processor", processor()]
 
 
 def test_folders_of_something_else_are_refused_untouched(

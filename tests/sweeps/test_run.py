@@ -20,6 +20,7 @@ from jaxmpc.synthesis.params import Params
 from sweeps import cluster
 from sweeps.blocks import padded
 from sweeps.compute import begin, compute
+from sweeps.environments import noted
 from sweeps.plan import Columns, Plan, make_plan
 from sweeps.result import Result
 from sweeps.run import run
@@ -166,5 +167,5 @@ def test_an_engine_is_named_on_the_command_line_and_in_the_environment(
     assert not (tmp_path / "run").exists()
     assert command("sweep", path, "-o", tmp_path / "run", "--engine", "scan", "--quiet") == 0
     assert finished[1].hash in capsys.readouterr().out
-    (environment,) = json.loads((tmp_path / "run" / "manifest.json").read_text())["environments"]
+    (environment,) = noted(tmp_path / "run")
     assert environment["engine"] == "scan"
