@@ -1,7 +1,9 @@
 """What a sweep would take, told before it is run: rows, compilations, memory, disk, time, and what computes it."""
 
+import math
 import time
 
+from jaxmpc.quantities import METRICS
 from sweeps import rates
 from sweeps.blocks import block_of, in_pairs, padded, programs, signal_bytes
 from sweeps.compiling import so_far
@@ -31,7 +33,7 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
     took = rates.estimate(plan, there)
     each = "rows of one world" if plan.space.of_worlds and not in_pairs(plan) else "rows"
     way = "pairs of a controller and a world" if in_pairs(plan) else f"controllers × {_counted(plan.worlds, 'world')}"
-    memory = rows * plan.row_bytes + signal_bytes(plan) * (block_of(plan) * there.number if in_pairs(plan) else 1)
+    memory = rows * row_memory(plan) + signal_bytes(plan) * (block_of(plan) * there.number if in_pairs(plan) else 1)
     lines = [
         f"  engine      {engine_of(plan)}, {experiment['physics']} on {_named(there)}",
         f"  blocks      of {block_of(plan)} {each}, {way}",
@@ -56,6 +58,20 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
         refined = "what stands above is of all rows on the spec's own experiment"
         lines.append(f"  refined by  {spec.refine.method}: {refined}")
     return "\n".join([*lines, "dry run: nothing was written"])
+
+
+def row_memory(plan: Plan) -> int:
+    """Memory of a row when all are there, which is when a sweep needs most [bytes].
+
+    Its columns, its number and entries; where rows run once more in float64 all columns a second time, since those rows
+    are put in a copy of the others, in which what ranks and limits has all digits of float64.
+    """
+    planned = 8 * (1 + len(plan.space.axes))
+    if plan.canonical["precision"] == "float64" or not plan.goal.decide:
+        return plan.row_bytes + planned
+    exact = {name for name in plan.goal.names if name in METRICS}
+    digits = sum(4 * math.prod(plan.layout[name].shape) for name in exact)
+    return 2 * plan.row_bytes + digits + planned
 
 
 def _counted(number: int, noun: str) -> str:
