@@ -2,9 +2,12 @@
 
 import sys
 
+import numpy as np
 import pytest
 
-from benchmarks import gradient_cost, sweep_overhead
+from benchmarks import gradient_cost, sweep_overhead, sweep_throughput
+from jaxmpc import Experiment
+from jaxmpc.engine.scenario import scenario_data
 
 
 def test_help_measures_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -20,3 +23,11 @@ def test_help_measures_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
 def test_the_last_quarter_of_an_episode_is_scored(seconds: float) -> None:
     experiment = sweep_overhead.job(16, seconds).experiment
     assert experiment.scored[1].sum(axis=0).tolist() == [round(250 * seconds)] * 3
+
+
+@pytest.mark.parametrize("steps", [200, 7000, 30_000])
+def test_a_peer_meets_the_same_share_of_scored_samples(steps: int) -> None:
+    scene = scenario_data(Experiment.published("table-1"))
+    whole, part = scene.signals.score, sweep_throughput.stretch(scene, steps).signals
+    assert part.heart.shape[1] == part.score.shape[1] == min(steps, 25_000)
+    np.testing.assert_allclose(np.mean(part.score[0]), np.mean(whole[0]), atol=0.51 / steps)
