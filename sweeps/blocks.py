@@ -7,6 +7,8 @@ the chunk, not who computes.
 import math
 from itertools import pairwise
 
+import numpy as np
+
 from jaxmpc.xla.blocks import BLOCK, rows_of_a_block
 from sweeps.plan import Plan
 from sweeps.targets import STRUCTURAL, target
@@ -74,6 +76,9 @@ def _power_below(number: int) -> int:
 
 
 def programs(plan: Plan) -> int:
-    """How many programs are compiled: one for each structure of controller and world, as far as axes tell."""
-    axes = [axis for axis in plan.space.axes if axis.name in (*STRUCTURAL, *PROGRAMS)]
-    return math.prod(len(set(map(str, axis.values))) for axis in axes)
+    """How many programs are compiled: one for each structure of controller and world among the rows."""
+    swept = [axis.name for axis in plan.space.axes if axis.name in (*STRUCTURAL, *PROGRAMS)]
+    if not swept:
+        return 1
+    columns = plan.space.columns(plan.rows)
+    return len(np.unique(np.stack([columns[name] for name in swept], axis=1), axis=0))

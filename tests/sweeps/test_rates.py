@@ -17,7 +17,7 @@ import pytest
 from jaxmpc.xla import store
 from sweeps import rates
 from sweeps.axis import SweepAxis
-from sweeps.blocks import block_of, padded
+from sweeps.blocks import block_of, padded, programs
 from sweeps.compiling import Compiling, so_far
 from sweeps.dry_run import dry_run
 from sweeps.engines import Devices, devices
@@ -180,3 +180,11 @@ def test_rows_of_other_lengths_count_and_leave_no_rate(
     assert both is not None
     assert both.rate == pytest.approx(even.rate / 2.0)
     assert rates.estimate(make_plan(swept("physics", "choice", "linear", "wam")), there) is None
+
+
+def test_programs_are_counted_among_the_rows() -> None:
+    experiment = {"published": "table-1"}
+    zipped = {"kind": "grid", "zip": [{"architecture": ["mpc", "aob"], "guarded": [False, True], "lam": [0.1, 0.2]}]}
+    drawn = {"kind": "random", "rows": 6, "axes": {"duration": {"linear": [20.0, 30.0]}, "lam": [0.1, 0.2]}}
+    for table, count in ((zipped, 2), (drawn, 6)):
+        assert programs(make_plan(SweepSpec.from_dict({"experiment": experiment, "sweep": table}))) == count
