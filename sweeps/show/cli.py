@@ -1,6 +1,7 @@
 """`jaxmpc sweep best | pareto | row | sensitivity | report`: what came out of a sweep's folder."""
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,8 +47,10 @@ def show(verb: str, args: argparse.Namespace) -> int:
     check_file("--csv", args.csv)
     check_file("--params", args.params)
     limit, n = args.max_ms, 10 if args.n is None else args.n
-    if limit is not None and not limit >= 1.0:
-        raise InputError("--max-ms", limit, "at least 1", "No loop has a smaller peak sensitivity; 2 is usual.")
+    if limit is not None and not 1.0 <= limit < math.inf:
+        raise InputError(
+            "--max-ms", limit, "at least 1, and finite", "No loop has a smaller peak sensitivity; 2 is usual."
+        )
     if n < 1:
         raise InputError("-n", n, "at least 1", "Ask for one row or more.")
     from sweeps.result import Result

@@ -246,6 +246,14 @@ def test_what_best_shows_is_headed_by_the_limit_it_was_asked_with(
     assert "M_s ≤ 2" not in said
 
 
+@pytest.mark.parametrize("limit", ["0.9", "inf", "nan"])
+def test_a_limit_that_none_is_is_told_of_its_flag(
+    limit: str, finished: Finished, command: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command("sweep", "best", finished[0], "--max-ms", limit) == 2
+    assert f"--max-ms = {limit}: must be at least 1, and finite" in capsys.readouterr().err
+
+
 def test_where_no_row_is_good_params_are_not_written(
     finished: Finished, command: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
