@@ -23,6 +23,8 @@ from sweeps.goal import SweepGoal
 from sweeps.plan import SCHEMA, Plan
 
 REFINED = "jaxmpc-refine/1"
+MOST_LINED = 2**20
+"""Length of a file up to which each of its values has a line [bytes]."""
 
 
 def read_plan(folder: Path) -> Plan:
@@ -62,6 +64,10 @@ def check(folder: Path, plan: Plan) -> bool:
     """
     if not _begun(folder):
         return False
+    if read_manifest(folder).get("schema") == REFINED:
+        raise InputError(
+            "output folder", folder, "empty or of a plain sweep", "It holds a refined one: choose with -o."
+        )
     there = read_plan(folder)
     if there.spec_hash != plan.spec_hash:
         raise _another(folder, there.canonical, plan.canonical)
@@ -180,8 +186,12 @@ def _brief(value: Any) -> str:
 
 
 def pretty(data: Mapping[str, Any]) -> bytes:
-    """A table as the text of a JSON file."""
-    return (json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    """A table as the text of a JSON file, a line for each value unless they are many."""
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    if len(text) > MOST_LINED:
+        # Nobody reads rows that are written out, and indented they take half as much again.
+        text = json.dumps(data, ensure_ascii=False, allow_nan=False)
+    return f"{text}\n".encode()
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import msgspec
 from msgspec.structs import replace as changed
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.files.foreign import LARGEST_JSON
 from jaxmpc.files.sealed import digest
 from sweeps import store
 from sweeps.interrupt import gently
@@ -26,6 +27,8 @@ from sweeps.run import run as run_plain
 from sweeps.spec import SweepSpec
 from sweeps.tables import RefineTable
 
+NUMBER_BYTES, ENTRY_BYTES = 10, 25
+"""Most that a row's number takes in a manifest, and the entry of an axis [bytes]."""
 Told = Callable[[str], None]
 
 
@@ -50,10 +53,11 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
         somebody stopped it.
 
     Raises:
-        InputError: The folder belongs to something else.
+        InputError: The folder belongs to something else, or a stage could not be read again.
         OSError: The folder cannot be written, or the disk is full.
     """
     assert spec.refine is not None
+    _check_size(spec, spec.refine)
     folder = Path(folder)
     store.prepare_refined(folder, *described(spec))
     if (finished := _finished(folder)) is not None:
@@ -84,9 +88,26 @@ def check(folder: Path, spec: SweepSpec) -> bool:
     """Whether the folder already holds this very refined sweep; writes nothing.
 
     Raises:
-        InputError: It holds something else.
+        InputError: It holds something else, or a stage could not be read again.
     """
+    assert spec.refine is not None
+    _check_size(spec, spec.refine)
     return store.check_refined(folder, *described(spec))
+
+
+def _check_size(spec: SweepSpec, refine: RefineTable) -> None:
+    """Refuse a stage whose rows are more than a manifest can hold that is read again, before any stage is run."""
+    rows, axes = spec.space.count, len(spec.space.axes)
+    if refine.method == "halving":
+        key, number, each = "refine.stages[0].keep", min(refine.stages[0].keep, rows), NUMBER_BYTES
+    elif refine.method == "pareto" and refine.rerun is not None:
+        # Those that run once more keep their numbers among all rows, which are written out.
+        key, number, each = "refine.rerun", rows + refine.rounds * refine.points, axes * ENTRY_BYTES
+    else:
+        key, number, each = "refine.points", refine.points, axes * ENTRY_BYTES
+    if refine.method != "none" and number > (most := LARGEST_JSON // each):
+        remedy = "More could not be read again: take fewer rows" + ", or leave the rerun out." * (key == "refine.rerun")
+        raise InputError(key, f"{number} rows", f"at most {most} rows that are written out", remedy)
 
 
 def described(spec: SweepSpec) -> tuple[dict[str, Any], str]:

@@ -1,6 +1,7 @@
 """Refined sweeps: fewer steps to the same best row, a front that moves on, the same rows every time."""
 
 import os
+import re
 import shutil
 import signal
 from argparse import Namespace
@@ -20,6 +21,7 @@ from jaxmpc.cli.freeze import _chosen
 from jaxmpc.files.errors import InputError
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
+from sweeps import store
 from sweeps.axis import SweepAxis
 from sweeps.chunks import chunk_files
 from sweeps.crew import Alone, ComputedChunk, Stop
@@ -28,6 +30,7 @@ from sweeps.merging import merge
 from sweeps.pace import Pace
 from sweeps.plan import Plan, make_plan
 from sweeps.refine.proposal import around
+from sweeps.refine.run import ENTRY_BYTES, check
 from sweeps.refine.run import run as refine
 from sweeps.result import Result, merged
 from sweeps.run import run
@@ -212,6 +215,40 @@ def test_wrong_tables_are_refused(table: dict[str, Any], words: list[str]) -> No
     with pytest.raises(InputError) as caught:
         made(**table)
     assert [word for word in words if word not in str(caught.value)] == []
+
+
+@pytest.mark.parametrize(
+    ("rows", "table", "words"),
+    [
+        (100, {"method": "pareto", "points": 1_000_000}, "refine.points = 1000000 rows: must be at most 894784 rows"),
+        (
+            900_000,
+            {"method": "pareto", "points": 10, "rerun": {}},
+            "refine.rerun = 900030 rows: must be at most 894784",
+        ),
+        (10_000_000, {"method": "halving", "stages": [{"keep": 7_000_000}]}, "refine.stages[0].keep = 7000000 rows"),
+    ],
+)
+def test_rows_that_no_manifest_could_hold_are_refused_before_any_is_run(
+    rows: int, table: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    spec = SweepSpec.from_dict({**DATA, "sweep": {**DATA["sweep"], "rows": rows}, "refine": table})
+    for begin in (lambda: check(tmp_path / "run", spec), lambda: refine(spec, tmp_path / "run")):
+        with pytest.raises(InputError, match=re.escape(words)):
+            begin()
+    assert not (tmp_path / "run").exists()
+
+
+def test_rows_that_are_written_out_take_what_is_reckoned_with(spec: SweepSpec, tmp_path: Path) -> None:
+    rows = 50_000
+    values = np.random.default_rng(0).random((2, rows)) * 1e-5
+    axes = tuple(
+        SweepAxis(name, "log", tuple(each.tolist())) for name, each in zip(("lam", "Q_p"), values, strict=True)
+    )
+    plan = make_plan(replace(spec, space=SweepSpace("grid", (axes,), rows, 0, spec.space.horizons)))
+    store.prepare(tmp_path / "run", plan)
+    assert (tmp_path / "run" / "manifest.json").stat().st_size < 2 * rows * ENTRY_BYTES
+    assert store.check(tmp_path / "run", plan)
 
 
 def test_rows_of_one_choice_are_of_one_kind(spec: SweepSpec) -> None:

@@ -178,12 +178,15 @@ def test_folders_of_something_else_are_refused_untouched(
     manifest = json.loads((edited / "manifest.json").read_text())
     manifest["spec"]["experiment"]["duration"] = 2.0
     (edited / "manifest.json").write_text(json.dumps(manifest))
+    refined = tmp_path / "refined"
+    store.prepare_refined(refined, {}, "0")
     before = sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*"))
     for folder, word in (
         (copy, "experiment.stiffness[1]: there 1900.0, here 1800.0"),
         (mine, "It holds other files"),
         (mine / "thesis.tex", "thesis.tex is a file"),
         (edited, "changed by hand"),
+        (refined, "must be empty or of a plain sweep. It holds a refined one: choose with -o."),
     ):
         assert command("sweep", other, "-o", folder) == 2
         assert word in capsys.readouterr().err
