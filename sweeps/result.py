@@ -15,10 +15,12 @@
 Quantities (`jaxmpc.quantities`, here `MEASURED`) say unit, sense, digits and text of every metric and margin.
 """
 
+import atexit
+import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -143,15 +145,15 @@ class Result(SweepRows):
         return meeting.params[0]
 
     def experiment(self, place: int) -> Experiment:
-        """The experiment that one row met; a recording is written into a temporary folder.
+        """The experiment that one row met; a recording is in a temporary folder, as long as this process lasts.
 
         Raises:
             InputError: The content of the recording is not in the folder.
         """
         entries = tuple(float(self[axis.name][place]) for axis in self.axes if axis.of_world)
         data = world_of(self.plan.canonical["experiment"], self.axes, entries)
-        folder = tempfile.mkdtemp(prefix="jaxmpc-row-") if data["motion"]["file"] else ""
-        return experiment_of(self.plan.with_files(data, Path(folder)))
+        folder = _recordings() if data["motion"]["file"] else Path()
+        return experiment_of(self.plan.with_files(data, folder))
 
     def settings(self, place: int) -> dict[str, str]:
         """What the axes set for one row, for people."""
@@ -168,6 +170,14 @@ class Result(SweepRows):
     def to_pandas(self) -> "pandas.DataFrame":
         """A table with a line per row and stiffness; see `labelled.to_pandas`."""
         return labelled.to_pandas(self)
+
+
+@cache
+def _recordings() -> Path:
+    """Where recordings of rows are, once each, so that rows of one world have one experiment."""
+    folder = tempfile.mkdtemp(prefix="jaxmpc-rows-")
+    atexit.register(shutil.rmtree, folder, True)
+    return Path(folder)
 
 
 def merged(results: Sequence[Result]) -> Result:

@@ -11,6 +11,7 @@ from jaxmpc.report.content import Chart, Detail, Series
 from jaxmpc.report.thinning import thinned
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params, by_structure
+from sweeps.met import met
 from sweeps.result import Result
 from sweeps.show.candidates import template
 
@@ -32,7 +33,20 @@ def that_matter(result: Result, max_M_s: float | None) -> list[int]:
 
 def world_words(result: Result) -> str:
     """What the rows of a sweep ran on, in words."""
-    return "linear loop" if result.plan.canonical["experiment"]["physics"] == "linear" else "arm"
+    swept = (axis.values for axis in result.axes if axis.name == "physics")
+    physics = next(swept, (result.plan.canonical["experiment"]["physics"],))
+    return " and ".join(dict.fromkeys(map(_loop_words, physics)))
+
+
+def length_words(result: Result) -> str:
+    """How long the rows of a sweep ran, one at least, in words."""
+    lengths = met(result.plan, result.columns, "duration")
+    shortest, longest = lengths.min(), lengths.max()
+    return f"{shortest:g} s" if shortest == longest else f"{shortest:g} to {longest:g} s"
+
+
+def _loop_words(physics: str) -> str:
+    return "linear loop" if physics == "linear" else "arm"
 
 
 def note(result: Result, count: int) -> str:
@@ -64,7 +78,7 @@ def details(result: Result, places: Sequence[int]) -> dict[int, Detail]:
         loops = [LoopCurve(name, curve, i, i, bool(stable[i])) for i, name in enumerate(names)]
         charts = [
             Chart(
-                f"residual force on the {world_words(result)}, {axis.upper()}",
+                f"residual force on the {_loop_words(experiment.physics)}, {axis.upper()}",
                 "time [s]",
                 "residual [mN]",
                 [

@@ -12,7 +12,7 @@ from sweeps.goal import MEASURED
 from sweeps.result import Result
 from sweeps.show.best_rows import caption, chance, goal_of, progress, rendered
 from sweeps.show.candidates import candidates
-from sweeps.show.curves import details, note, that_matter, world_words
+from sweeps.show.curves import details, length_words, note, that_matter, world_words
 from sweeps.show.in_the_way import in_the_way
 
 MOST_ROWS = 100_000
@@ -112,9 +112,7 @@ def _stages(result: Result, max_M_s: float | None) -> Iterator[Section]:
     """The best rows of every stage of a refined sweep, as each saw them."""
     for name, stage in result.stages:
         if len(stage):
-            words = (
-                f"{len(stage)} rows on the {world_words(stage)}, {stage.plan.canonical['experiment']['duration']:g} s."
-            )
+            words = f"{len(stage)} rows on the {world_words(stage)}, {length_words(stage)}."
             yield Section(f"Stage {name}", [words], [Table(*rendered(stage, 5, max_M_s))])
 
 

@@ -18,6 +18,7 @@ from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.report.influence import _score
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
+from sweeps.axis import SweepAxis
 from sweeps.goal import SweepGoal
 from sweeps.judged import Point
 from sweeps.plan import Plan
@@ -26,8 +27,10 @@ from sweeps.sensitivity import sensitivity
 from sweeps.show.best_rows import table
 from sweeps.show.candidates import candidates, template
 from sweeps.show.cli import TAKES
+from sweeps.show.curves import length_words, world_words
 from sweeps.show.in_the_way import in_the_way
 from sweeps.show.report import sweep_report
+from sweeps.space import SweepSpace
 from sweeps.store import stage_folders
 
 Finished = tuple[Path, Result]
@@ -293,6 +296,16 @@ def test_stages_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
 
 def test_the_table_says_when_nothing_is_robust(finished: Finished) -> None:
     assert "M_s ≤ 1.01" in table(finished[1], 3, 1.01)
+
+
+def test_a_report_says_what_rows_met_where_that_is_swept(finished: Finished) -> None:
+    plan = finished[1].plan
+    assert (world_words(finished[1]), length_words(finished[1])) == ("linear loop", "1 s")
+    axes = (SweepAxis("physics", "choice", ("linear", "wam")), SweepAxis("duration", "list", (0.5, 2.0), True))
+    space = SweepSpace("grid", tuple((axis,) for axis in axes), 4, 0, plan.space.horizons)
+    swept = Plan({**plan.canonical, "space": msgspec.to_builtins(space)})
+    result = Result(swept, {"row": np.arange(4), **space.columns(np.arange(4))})
+    assert (world_words(result), length_words(result)) == ("linear loop and arm", "0.5 to 2 s")
 
 
 def test_a_report_has_the_rows_of_the_sweep(finished: Finished) -> None:

@@ -3,6 +3,8 @@
 import dataclasses
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from sweeps.result import Result
 from sweeps.rows import world_of
 from sweeps.spec import SweepSpec
 from sweeps.targets import UNITS, known_names, target
+from tests.sources import ROOT
 
 SHORT: dict[str, Any] = {
     "published": "table-1",
@@ -179,7 +182,15 @@ def test_a_recording_travels_by_its_content(tmp_path: Path) -> None:
     spec = made({"lam": [0.1, 0.2]}, experiment={"motion": {"kind": "recording", "file": str(path)}})
     plan = make_plan(spec)
     path.unlink()
-    assert np.isfinite(compute(plan, 0, 2)["rms"]).any()
+    columns = compute(plan, 0, 2)
+    assert np.isfinite(columns["rms"]).any()
+    # Rows of one world have one experiment, which a report runs once, and one file, which does not stay behind.
+    here, other = (Result.of(plan, columns, np.ones(2, bool)).experiment(place) for place in (0, 1))
+    assert here.to_dict() == other.to_dict()
+    script = "import sweeps.result as s; print(s._recordings())"
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert said.stdout.strip()
+    assert not Path(said.stdout.strip()).exists()
 
 
 def test_a_recording_that_a_full_disk_cuts_short_is_not_taken_for_whole(
