@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmpc.files.foreign import table_if_any
 from jaxmpc.files.sealed import write_atomic
-from sweeps.blocks import block_of, in_pairs, padded, shares_signals
+from sweeps.blocks import block_of, in_pairs, padded, programs, shares_signals
 from sweeps.engines import Devices, engine_of
 from sweeps.met import samples_met
 from sweeps.pace import Pace
@@ -74,15 +74,12 @@ def record(plan: Plan, pace: Pace, devices: Devices, where: Path | None = None) 
         write_atomic(path, json.dumps(table, indent=1, sort_keys=True).encode())
 
 
-def estimate(
-    plan: Plan, devices: Devices, missing: int | None = None, where: Path | None = None
-) -> CostEstimate | None:
+def estimate(plan: Plan, devices: Devices, where: Path | None = None) -> CostEstimate | None:
     """What a sweep will take on this machine; None where nothing like it has been run, or samples differ in cost.
 
     Args:
         plan: What is swept.
         devices: What computes.
-        missing: Rows that are left; None is all.
         where: File of the rates; None is the user's.
     """
     import jax
@@ -95,11 +92,11 @@ def estimate(
     per_row, start_s, compile_s = known[nearest]
     config: Any = jax.config
     remembered = int(nearest) == samples and config.jax_enable_compilation_cache
-    share = 1.0 if missing is None else missing / max(len(plan.rows), 1)
-    rows = round(padded(plan, devices.number, 0, len(plan.rows)) * share)
+    rows = padded(plan, devices.number, 0, len(plan.rows))
     ratio = int(nearest) / samples
     like = "runs like it on this machine" if 1 / FOREIGN < ratio < FOREIGN else "shorter or longer runs on this machine"
-    return CostEstimate(start_s + (0.0 if remembered else compile_s), ratio / per_row, rows, like, remembered)
+    compiling = 0.0 if remembered else compile_s * programs(plan)
+    return CostEstimate(start_s + compiling, ratio / per_row, rows, like, remembered)
 
 
 def _known(table: Mapping[str, Any], kind: str) -> dict[str, list[float]]:

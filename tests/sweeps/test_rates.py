@@ -179,6 +179,11 @@ def test_rows_of_other_lengths_count_and_leave_no_rate(
     assert even is not None
     assert both is not None
     assert both.rate == pytest.approx(even.rate / 2.0)
+    # Each length is a program of its own.
+    rates.record(one, paced(one, Compiling(COMPILE, COMPILE)), there)
+    compiled = rates.estimate(mixed, there)
+    assert compiled is not None
+    assert compiled.start_s == pytest.approx(START + 2 * COMPILE)
     assert rates.estimate(make_plan(swept("physics", "choice", "linear", "wam")), there) is None
 
 
