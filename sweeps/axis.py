@@ -101,6 +101,7 @@ def make_axis(
     drawn: Drawn | None = None,
     seed: int = 0,
     labels: tuple[str, ...] = (),
+    repeats: bool = False,
 ) -> SweepAxis:
     """An axis from its description in a spec.
 
@@ -113,6 +114,7 @@ def make_axis(
         drawn: How the points of a range are drawn, in order of size; None spaces them evenly.
         seed: Of what is drawn.
         labels: Names of the values of a choice.
+        repeats: Whether a list may hold a number twice, since others advance with it.
 
     Raises:
         InputError: A value is not finite or out of bounds, a range is empty or a list repeats itself.
@@ -124,7 +126,7 @@ def make_axis(
             raise InputError(key, "[]", "at least one value", "List values, or remove the axis.")
         if scale == "list":
             _check_numbers(name, scale, values, relative)
-        if len({repr(value) for value in values}) != len(values):
+        if not (repeats and scale == "list") and len({repr(value) for value in values}) != len(values):
             raise InputError(key, list(values), "free of repetition", "Each row of a sweep exists once.")
         return SweepAxis(name, scale, values, relative, labels)
     _check_numbers(name, scale, values, relative)

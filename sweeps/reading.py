@@ -1,6 +1,7 @@
 """From the tables of a sweep's file to its axes."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -63,9 +64,16 @@ def read_space(table: SweepTable, params: Params, experiment: Experiment, folder
         (_axis(name, _beside(name, each, folder), kind, own),) for name, each in flattened(table.axes)
     ]
     for group in table.zip:
-        axes = tuple(_axis(name, _beside(name, each, folder), kind, own) for name, each in flattened(group))
+        axes = tuple(
+            _axis(name, _beside(name, each, folder), kind, own, repeats=True) for name, each in flattened(group)
+        )
         if len(axes) < 2:
             raise InputError("sweep.zip", list(group), "two axes or more", "Write a single axis under [sweep.axes].")
+        # Axes of unequal length are refused later on, or drawn from.
+        points = Counter(zip(*(map(repr, axis.values) for axis in axes), strict=False))
+        point, times = points.most_common(1)[0]
+        if times > 1:
+            raise InputError("sweep.zip", ", ".join(point), "free of repetition", "Each row of a sweep exists once.")
         factors.append(axes)
     _check_bases(factors, params, experiment)
     for each in [*([factor] for factor in factors), factors]:
@@ -99,11 +107,11 @@ def flattened(axes: Mapping[str, Any], root: str = "") -> Iterator[tuple[str, An
             yield f"{root}{name}", described
 
 
-def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any]) -> SweepAxis:
+def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any], *, repeats: bool = False) -> SweepAxis:
     key = f"sweep.axes.{name}"
     target(name)
     if isinstance(described, list):
-        return _listed(name, described, Range(), sets)
+        return _listed(name, described, Range(), sets, repeats)
     if not isinstance(described, dict):
         raise InputError(
             key, described, "a list or a range", "Write [1.0, 2.0], say; one value belongs under [params]."
@@ -116,7 +124,7 @@ def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any]) -
     if given.values is not None:
         if given.linear or given.log or given.points or given.draw:
             raise InputError(key, "values and a range", "one of the two", "Remove the range.")
-        return _listed(name, given.values, given, sets)
+        return _listed(name, given.values, given, sets, repeats)
     ranges: tuple[tuple[Scale, Ends | None], ...] = (("linear", given.linear), ("log", given.log))
     spaced = [(scale, ends) for scale, ends in ranges if ends is not None]
     if len(spaced) != 1:
@@ -133,11 +141,11 @@ def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any]) -
     return make_axis(name, scale, ends, given.points, relative=given.relative, drawn=given.draw, seed=given.seed)
 
 
-def _listed(name: str, values: list[Any], given: Range, sets: Mapping[str, Any]) -> SweepAxis:
+def _listed(name: str, values: list[Any], given: Range, sets: Mapping[str, Any], repeats: bool) -> SweepAxis:
     key = f"sweep.axes.{name}"
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     if numbers and not choice_only(name):
-        return make_axis(name, "list", tuple(map(float, values)), None, relative=given.relative)
+        return make_axis(name, "list", tuple(map(float, values)), None, relative=given.relative, repeats=repeats)
     if given.relative or (name in PARAMETERS and not all(isinstance(value, list) for value in values)):
         wrong = next(each for each in values if isinstance(each, bool) or not isinstance(each, int | float))
         raise InputError(key, wrong, "a number", f"Its unit is [{target(name).unit}].")

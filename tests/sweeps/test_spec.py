@@ -157,6 +157,16 @@ def test_a_seed_is_an_axis_as_toml_has_it(write_spec: Write) -> None:
     assert [(axis.name, axis.values) for axis in spec.space.axes] == [("motion.seed", (1, 2, 3))]
 
 
+def test_a_zipped_list_may_hold_a_number_twice() -> None:
+    """What exists once is a row: two horizons of one move, say."""
+    table = {"kind": "grid", "zip": [{"Hp": [10, 20, 20], "Hu": [3, 3, 5]}]}
+    columns = SweepSpec.from_dict({"sweep": table}).space.columns(np.arange(3))
+    assert [columns["Hp"].tolist(), columns["Hu"].tolist()] == [[10.0, 20.0, 20.0], [3.0, 3.0, 5.0]]
+    table = {"kind": "grid", "zip": [{"Hp": [10, 20, 20], "Hu": [3, 5, 5]}]}
+    with pytest.raises(InputError, match=r"sweep\.zip = 20\.0, 5\.0: must be free of repetition"):
+        SweepSpec.from_dict({"sweep": table})
+
+
 def test_what_is_counted_is_drawn_in_whole_numbers() -> None:
     axes = {"disturbance_order": {"linear": [1, 2]}, "designed_delay": {"linear": [1, 2]}}
     space = SweepSpec.from_dict({"sweep": {"kind": "random", "rows": 20, "axes": axes}}).space
