@@ -73,7 +73,7 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
             if not result.complete:
                 return of_stages(done, ended=False)
     store.write_summary(folder, {"stages": {name: result.hash for name, result in done}})
-    return Result.load(folder)
+    return of_stages(done, ended=True)
 
 
 def _finished(folder: Path) -> Result | None:

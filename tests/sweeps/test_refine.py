@@ -277,7 +277,7 @@ def test_steps_of_a_stage_are_those_of_its_rows(
     done = Namespace(complete=True, hash="")
     monkeypatch.setattr("sweeps.refine.run.run_plain", lambda *_, **__: done)
     monkeypatch.setattr("sweeps.refine.run.survivors", lambda result, keep: (0, 1, 4, 5))
-    monkeypatch.setattr(Result, "load", lambda folder: done)
+    monkeypatch.setattr("sweeps.refine.run.of_stages", lambda stages, ended: done)
     refine(SweepSpec.from_dict({**DATA, "sweep": sweep, "refine": table}), tmp_path / "run", told=lines.append)
     assert [line.partition(": ")[2].removesuffix(" steps a tissue") for line in lines][: len(told)] == told
 
