@@ -19,7 +19,6 @@ LAWS = {
     "observer": Params(architecture="aob"),
     "alone": ALONE,
     "alone, later": replace(ALONE, designed_delay=2),
-    "alone, without an answer": replace(ALONE, Hp=1.0, Hu=1.0),
 }
 every_law = pytest.mark.parametrize("params", LAWS.values(), ids=LAWS)
 
@@ -41,6 +40,15 @@ def test_what_was_asked_before_contact_goes_on(params: Params) -> None:
     gains = on_floats(params)
     _, v = cascade.step(gains, cascade.going_on(gains, -1.0, 0.3), -1.0, (-1.0,))
     assert v == pytest.approx(0.3, abs=1e-9)
+
+
+def test_gains_of_nothing_ask_for_nothing_more() -> None:
+    """What finds the input that has it ask for v once more would divide by nothing."""
+    designed = on_floats(ALONE)
+    silent = designed._replace(mpc_ref=(0.0,) * len(designed.mpc_ref), mpc_x=(0.0, 0.0), mpc_u=0.0)
+    for force, asked in ((-5.0, 0.0), (-1.0, 0.3)):
+        _, v = cascade.step(silent, cascade.going_on(silent, force, asked), force, (force,))
+        assert v == pytest.approx(asked, abs=1e-9)
 
 
 @pytest.mark.parametrize("params", [LAWS["cascade"], LAWS["observer"]], ids=["cascade", "observer"])
