@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxmpc.experiment import Experiment
+from jaxmpc.files.errors import InputError
 from jaxmpc.synthesis.params import Params
 from sweeps import chunks, labelled, store
 from sweeps.decided import Decided, decided_together, read_decided, with_decided
@@ -139,7 +140,12 @@ class Result(SweepRows):
         return undecided(self.plan, self.columns, goal)
 
     def controller(self, place: int) -> Params:
-        """The controller of one row, by its place in this result."""
+        """The controller of one row, by its place in this result.
+
+        Raises:
+            InputError: There is no such row: of the best none where none keeps the constraints.
+        """
+        self._check_place(place)
         columns = {axis.name: self[axis.name][[place]] for axis in self.axes}
         (meeting,) = meetings(self.plan.base, self.axes, columns, by_world=True)
         return meeting.params[0]
@@ -148,12 +154,20 @@ class Result(SweepRows):
         """The experiment that one row met; a recording is in a temporary folder, as long as this process lasts.
 
         Raises:
-            InputError: The content of the recording is not in the folder.
+            InputError: There is no such row, or the content of the recording is not in the folder.
         """
+        self._check_place(place)
         entries = tuple(float(self[axis.name][place]) for axis in self.axes if axis.of_world)
         data = world_of(self.plan.canonical["experiment"], self.axes, entries)
         folder = _recordings() if data["motion"]["file"] else Path()
         return experiment_of(self.plan.with_files(data, folder))
+
+    def _check_place(self, place: int) -> None:
+        if not -len(self) <= place < len(self):
+            remedy = (
+                "The best are those that keep the constraints: `jaxmpc sweep best DIR` tells what stands in the way."
+            )
+            raise InputError("place", place, f"of one of {len(self)} rows", remedy)
 
     def settings(self, place: int) -> dict[str, str]:
         """What the axes set for one row, for people."""

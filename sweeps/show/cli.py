@@ -103,13 +103,13 @@ def _place(result: "Result", text: str) -> "slice":
 
 def _written(shown: "Result", args: argparse.Namespace) -> int:
     """Write what was asked for, of the rows that are shown."""
+    if args.params and not len(shown):
+        place = f"`jaxmpc sweep best {args.what[1]}` tells what stands in the way."
+        raise InputError("--params", args.params, "written of a row that keeps the constraints", place)
     if args.csv:
         shown.to_csv(args.csv)
         print(f"written: {args.csv}")
     if args.params:
-        if not len(shown):
-            place = f"`jaxmpc sweep best {args.what[1]}` tells what stands in the way."
-            raise InputError("--params", args.params, "written of a row that keeps the constraints", place)
         write_params(shown, args.params)
         print(f"written: {args.params}, the controller of row {shown['row'][0]}")
     return 0

@@ -265,6 +265,18 @@ def test_where_no_row_is_good_params_are_not_written(
         said = capsys.readouterr().err
         assert f"`jaxmpc sweep best {finished[0]}` tells what stands in the way" in said
         assert not (tmp_path / "params.toml").exists()
+    both = "--params", tmp_path / "params.toml", "--csv", tmp_path / "rows.csv"
+    assert command("sweep", "best", finished[0], "--max-ms", 1.01, *both) == 2
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_a_row_that_is_not_there_has_neither_controller_nor_experiment(finished: Finished) -> None:
+    best = finished[1].best(1, 1.01)
+    for asked in best.controller, best.experiment:
+        with pytest.raises(InputError, match=r"0 rows.*that keep the constraints"):
+            asked(0)
+    with pytest.raises(InputError):
+        finished[1].controller(len(finished[1]))
 
 
 @pytest.mark.parametrize("row", ["²", "9" * 5000, "-1", "x"])
