@@ -4,6 +4,7 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,9 @@ STYLE: Any = {
     "savefig.dpi": 150,
 }
 
+_drawing = RLock()
+"""Held while a figure is drawn: settings of matplotlib, which are changed for it, are those of all threads."""
+
 
 @contextmanager
 def figure(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.0)) -> Iterator[Any]:
@@ -42,7 +46,7 @@ def figure(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(STYLE):
+    with _drawing, mpl.rc_context(STYLE):
         drawing = Figure(figsize=size, dpi=STYLE["savefig.dpi"])
         canvas: Any = FigureCanvasAgg(drawing)
         axes = drawing.subplots(rows, columns)
