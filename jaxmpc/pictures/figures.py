@@ -26,7 +26,15 @@ STYLE: Any = {
 }
 
 _drawing = RLock()
-"""Held while a figure is drawn: settings of matplotlib, which are changed for it, are those of all threads."""
+
+
+@contextmanager
+def in_style() -> Iterator[None]:
+    """The style above within it, for one thread at a time: settings of matplotlib are those of all threads."""
+    import matplotlib as mpl
+
+    with _drawing, mpl.rc_context(STYLE):
+        yield
 
 
 @contextmanager
@@ -42,11 +50,10 @@ def figure(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float
     Yields:
         The array of axes (rows, columns), or the one axes object.
     """
-    import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with _drawing, mpl.rc_context(STYLE):
+    with in_style():
         drawing = Figure(figsize=size, dpi=STYLE["savefig.dpi"])
         canvas: Any = FigureCanvasAgg(drawing)
         axes = drawing.subplots(rows, columns)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.pictures.figures import ACCENT, BASELINE, STYLE, TUNED
+from jaxmpc.pictures.figures import ACCENT, BASELINE, TUNED, in_style
 from jaxmpc.pictures.render import PACKAGES_REMEDY, finite_array, packages, scene_on
 from jaxmpc.terminal.progress import progress
 
@@ -134,11 +134,10 @@ class _Panel:
     def __init__(
         self, t: np.ndarray, force: np.ndarray, force_ref: np.ndarray, size: tuple[int, int], title: str
     ) -> None:
-        import matplotlib as mpl
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        with mpl.rc_context(STYLE):
+        with in_style():
             dpi = 100.0 * size[1] / 720.0
             drawing: Any = Figure(figsize=(size[0] / dpi, size[1] / dpi), dpi=dpi)
             canvas: Any = FigureCanvasAgg(drawing)
