@@ -102,6 +102,14 @@ def _sweep(args: argparse.Namespace) -> int:
     part = _part(args.part)
     # XLA compiles for one device otherwise than for several, to other last bits: never take just one.
     cores = max(2, args.cores or len(os.sched_getaffinity(0)))
+    from jaxmpc.terminal.process import use_all_cores
+
+    if not args.dry_run or args.engine is not None:
+        use_all_cores(cores)
+    if not (args.dry_run or args.cluster or args.local_workers):
+        from jaxmpc.xla.place import wake_beside
+
+        wake_beside()
     from jaxmpc.files.toml import located
     from sweeps import store
     from sweeps.plan import check_chunk, describe, make_plan
@@ -113,10 +121,8 @@ def _sweep(args: argparse.Namespace) -> int:
     with located(args.what[0]):
         plan = make_plan(spec)
     if args.engine is not None:
-        from jaxmpc.terminal.process import use_all_cores
         from sweeps import engines
 
-        use_all_cores(cores)
         engines.check(spec, plan)
     if args.chunk is not None:
         check_chunk(plan, args.chunk)
@@ -135,11 +141,7 @@ def _sweep(args: argparse.Namespace) -> int:
 
         print(dry_run(spec, plan, cores, measure=bool(args.measure)))
         return 0
-    from jaxmpc.terminal.process import use_all_cores
-
-    crew = _crew(args, cores)
-    use_all_cores(cores)
-    return _run(spec, plan, folder, part, cores, crew, args)
+    return _run(spec, plan, folder, part, cores, _crew(args, cores), args)
 
 
 def _run(

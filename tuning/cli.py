@@ -3,7 +3,6 @@
 import argparse
 import sys
 import textwrap
-import threading
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,13 +35,12 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: The spec or the folder is wrong; nothing has been written by then.
     """
-    from jaxmpc.terminal.process import memory_as_needed, use_all_cores
+    from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
-    memory_as_needed()
-    from jaxmpc.xla.place import wake
+    from jaxmpc.xla.place import wake_beside
 
-    threading.Thread(target=wake, daemon=True).start()
+    wake_beside()
     from msgspec.structs import replace
 
     from jaxmpc.engine.registry import named

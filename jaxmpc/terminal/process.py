@@ -3,10 +3,14 @@
 import logging
 import os
 import re
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxmpc.files.errors import InputError
+
+AUTOTUNING = "xla_gpu_autotune_level"
+"""A flag of XLA."""
 
 
 def one_thread_for_blas() -> None:
@@ -36,8 +40,22 @@ def memory_as_needed() -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
+def choose_untimed() -> None:
+    """Have XLA choose among a GPU's algorithms by rule, unless the user has said otherwise; call before JAX computes.
+
+    It tries which is the fastest otherwise, and on every host of a kind another may be: other last bits. Nothing is
+    slower without (docs/gpu.md). Only where JAX has a plugin for a GPU: programs are kept by these flags, too.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if find_spec("jax_plugins") is not None and AUTOTUNING not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} --{AUTOTUNING}=0".strip()
+
+
 def use_all_cores(cores: int | None = None) -> None:
     """Switch 64-bit JAX on and give every CPU core a device of its own; call before JAX computes anything.
+
+    Of a GPU's memory it takes what is needed when it is, and its algorithms by rule; see `memory_as_needed`,
+    `choose_untimed`.
 
     There are two devices at least: a program for one device compiles to other last bits than one for
     several, and results must not depend on the number of cores. A device count set before, in XLA_FLAGS
@@ -53,6 +71,8 @@ def use_all_cores(cores: int | None = None) -> None:
 
     config: Any = jax.config
     config.update("jax_enable_x64", True)
+    memory_as_needed()
+    choose_untimed()
     remember_programs()
     if (set_before := _devices_asked_for(config)) is None:
         config.update("jax_num_cpu_devices", max(2, cores or len(os.sched_getaffinity(0))))

@@ -1,5 +1,6 @@
 """Where programs run: a CPU is done with a few loops before a GPU, which takes one small step after another, begins."""
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any
@@ -27,3 +28,8 @@ def platform() -> str:
 def wake() -> None:
     """Have the device hold a first array, before which a GPU takes seconds to begin: for a thread beside the rest."""
     jax.device_put(np.zeros(())).block_until_ready()
+
+
+def wake_beside() -> None:
+    """The same in a thread of its own, for entry points, as soon as devices are chosen."""
+    threading.Thread(target=wake, daemon=True).start()

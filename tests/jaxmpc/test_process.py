@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 import pytest
 
-from jaxmpc.terminal.process import memory_as_needed, one_thread_for_blas
+from jaxmpc.terminal import process
+from jaxmpc.terminal.process import choose_untimed, memory_as_needed, one_thread_for_blas
 
 
 @pytest.mark.parametrize(
@@ -24,3 +25,21 @@ def test_what_the_user_has_said_stays(
             monkeypatch.delenv(name)
         ask()
         assert os.environ[name] == given
+
+
+@pytest.mark.parametrize(
+    ("said", "with_plugin", "without"),
+    [
+        ("", "--xla_gpu_autotune_level=0", ""),
+        ("--xla_dump_to=/tmp/x", "--xla_dump_to=/tmp/x --xla_gpu_autotune_level=0", "--xla_dump_to=/tmp/x"),
+        ("--xla_gpu_autotune_level=4", "--xla_gpu_autotune_level=4", "--xla_gpu_autotune_level=4"),
+    ],
+)
+def test_algorithms_are_chosen_by_rule_where_there_may_be_a_gpu(
+    monkeypatch: pytest.MonkeyPatch, said: str, with_plugin: str, without: str
+) -> None:
+    for plugin, wanted in ((object(), with_plugin), (None, without)):
+        monkeypatch.setenv("XLA_FLAGS", said)
+        monkeypatch.setattr(process, "find_spec", lambda name, plugin=plugin: plugin)
+        choose_untimed()
+        assert os.environ["XLA_FLAGS"] == wanted

@@ -59,10 +59,12 @@ def run(args: argparse.Namespace) -> int:
 
     use_all_cores()
     from jaxmpc.beside import Beside
+    from jaxmpc.xla.place import wake_beside
     from tuning.trials import HARD, MOST, NOMINAL, Job, on_own_tissues
     from tuning.trials import run as run_trials
     from tuning.trials.linear_margins import COLUMNS, TISSUES, margins_table
 
+    wake_beside()
     given = [name_and_place(text) for text in (args.params, args.against) if text is not None]
     controllers = tuple(params_from(place) for _, place in given)
     names = [name or place for name, place in given]
