@@ -171,4 +171,4 @@ def test_programs_of_32_bits_are_told_to_switch_64_on(transform: Callable[..., A
         assert np.asarray(peak(params)).dtype == np.float64
         with pytest.raises(InputError, match="jax_enable_x64 = False: must be on"):
             transform(peak)(params)
-    transform(peak)(params)
+    jax.eval_shape(transform(peak), params)
