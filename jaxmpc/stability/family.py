@@ -4,6 +4,7 @@ While the schedule has the control, K̂ is held or moves slowly: each loop is ju
 that the identification leaves open. How K̂ moves is no matter of margins but of trials.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -15,9 +16,10 @@ from jaxtyping import Array, Float
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import schedule
 from jaxmpc.law.gains import Gains
+from jaxmpc.law.repetition import Repetition
 from jaxmpc.law.schedule import repetition_of
 from jaxmpc.stability import Cells, Margins, cells_of, margins_of_cells, worst_of
-from jaxmpc.stability.held_beat import HeldBeat, at_rates
+from jaxmpc.stability.held_beat import HeldBeat, at_rates, spread_rates
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design, design_one, designed
 from jaxmpc.synthesis.listening import Listening
@@ -35,6 +37,8 @@ KNOWN, RATIOS = 25, 5
 RATES = 12
 """Rates of the heart, log-spaced over what it may have, at which one that learns the beat is: more of them find the
 published family's gain reduction 0.005 dB less, half as many 0.06 dB more."""
+AT_RATES = partial(spread_rates, count=RATES)
+"""These rates, from the constants of what is learned."""
 
 
 def judged_where(
@@ -131,7 +135,7 @@ def family_margins(
     stiffness: Float[Array, " known"] | Any,
     ratios: Float[Array, " ratios"] | Any,
     path: LoopPath,
-    rates: int = RATES,
+    rates: Callable[[Repetition], Any] = AT_RATES,
 ) -> Margins:
     """Stability margins of a family of controllers with K̂ held.
 
@@ -142,7 +146,7 @@ def family_margins(
         stiffness: Known stiffnesses K̂ (known,) [N/m].
         ratios: K_s/K̂, (ratios,) [-].
         path: Delay, sampling and filters of the loop.
-        rates: How many rates of the heart.
+        rates: Gives the rates of the heart (rates,) [rad/s].
 
     Returns:
         Margins, each (known, ratios).
@@ -158,6 +162,7 @@ def family_margins(
     learning = repetition_of(gains)
     if learning is None:
         return reshaped(margins_of_cells(cells, ideal=path.ideal), 1, len(known), len(band))
-    beats = at_rates(jax.tree.map(lambda leaf: leaf[0], learning), rates)
+    one: Repetition = jax.tree.map(lambda leaf: leaf[0], learning)
+    beats = at_rates(one, rates(one))
     found = margins_of_cells(_beating_cells(cells, beats), ideal=path.ideal)
     return worst_of(reshaped(found, 1, len(known), len(band), len(beats.rate)))

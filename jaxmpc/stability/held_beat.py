@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxmpc.law.repetition import Repetition, share
+from jaxmpc.law.repetition import FADING, Repetition, share
 from jaxmpc.xla import ops
 
 
@@ -39,19 +39,34 @@ class Resonators(NamedTuple):
     """s_n, real and imaginary part, (N, 2) [N]."""
 
 
-def at_rates(repetition: Repetition, rates: int, learns: Any = True) -> HeldBeat:
-    """One controller's at rates of the heart, log-spaced over what it may have, (1 + rates,); the first learns nothing.
+def spread_rates(repetition: Repetition, count: int) -> Any:
+    """Rates of the heart, log-spaced over what it may have, (count,) [rad/s]; traceable."""
+    return jnp.geomspace(repetition.finder.least, repetition.finder.most, count)
+
+
+def telling_rates(repetition: Repetition) -> Any:
+    """The few rates at which margins are about least, (3,) [rad/s]; traceable.
+
+    What is learned takes most where its fastest harmonic is as fast as one may be before it fades: of seven at 2.42,
+    2.01 and 1.73 Hz, the fastest rates at which one stands there; where none does, at the fastest of all.
+    """
+    whole, fastest = repetition.highest - FADING, repetition.finder.most
+    harmonic = jnp.minimum(jnp.ceil(whole / fastest) + jnp.arange(3.0), len(repetition.gains))
+    return jnp.clip(whole / harmonic, repetition.finder.least, fastest)
+
+
+def at_rates(repetition: Repetition, rates: Any, learns: Any = True) -> HeldBeat:
+    """One controller's at rates of the heart, (1 + rates,); the first learns nothing.
 
     Args:
         repetition: Its constants.
-        rates: How many.
+        rates: The rates, (rates,) [rad/s].
         learns: Whether it learns at all.
     """
-    finder = repetition.finder
-    over = jnp.geomspace(finder.least, finder.most, rates)
-    share = jnp.where(learns, jnp.append(0.0, jnp.ones(rates)), 0.0)
-    wide: Repetition = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (1 + rates,)), repetition)
-    return HeldBeat(wide._replace(gains=tuple(share * gain for gain in wide.gains)), jnp.append(over[:1], over))
+    count = len(rates)
+    share = jnp.where(learns, jnp.append(0.0, jnp.ones(count)), 0.0)
+    wide: Repetition = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (1 + count,)), repetition)
+    return HeldBeat(wide._replace(gains=tuple(share * gain for gain in wide.gains)), jnp.append(rates[:1], rates))
 
 
 def still(held: HeldBeat) -> Resonators:

@@ -1,6 +1,7 @@
 """What is learned of the beat: on hearts of every rhythm, against its linear model, and that against its response."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import control
@@ -17,7 +18,7 @@ from jaxmpc.law.ops import FLOATS
 from jaxmpc.stability import held_beat
 from jaxmpc.stability.crossings import search_angles
 from jaxmpc.stability.family import RATES, family_margins, held, judged_where
-from jaxmpc.stability.held_beat import HeldBeat
+from jaxmpc.stability.held_beat import HeldBeat, spread_rates
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis.learning import PULLING
@@ -286,7 +287,7 @@ def test_what_is_used_in_part_takes_no_margin_either(hertz: float) -> None:
 def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
     """At 25 rates; `family_margins` takes 12."""
     path, (known, _) = Experiment.published("family-wam").loop_path(), judged_where(FAMILY.listening, 7)
-    found = family_margins(FAMILY, known, np.array([0.94, 1.06]), path, rates=25)
+    found = family_margins(FAMILY, known, np.array([0.94, 1.06]), path, partial(spread_rates, count=25))
     assert np.max(found.M_s) <= 2.0
     assert np.min(found.gain_margin_db) >= 6.0
     assert np.min(found.gain_reduction_db) >= 4.0
@@ -298,7 +299,10 @@ def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
 def test_rates_between_tell_hardly_more() -> None:
     """Where its gain reduction is least."""
     at = np.array([375.0]), np.array([0.94]), Experiment.published("family-wam").loop_path()
-    told, dense = (float(family_margins(FAMILY, *at, **rates).gain_reduction_db[0, 0]) for rates in ({}, {"rates": 60}))
+    told, dense = (
+        float(family_margins(FAMILY, *at, partial(spread_rates, count=count)).gain_reduction_db[0, 0])
+        for count in (RATES, 60)
+    )
     assert dense <= told < dense + 0.01
 
 

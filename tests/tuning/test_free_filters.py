@@ -12,9 +12,10 @@ from jaxmpc import Experiment, InputError, Params, evaluate, margins
 from jaxmpc.closed_loops import close_loops
 from jaxmpc.stability import Margins
 from jaxmpc.stability.family import family_margins
+from jaxmpc.stability.held_beat import telling_rates
 from tuning import TuneSpec
 from tuning.objective.loss import loss_of
-from tuning.objective.measures import FEWER_RATES, Data, judged_margins
+from tuning.objective.measures import Data, judged_margins
 from tuning.objective.problem import problem_of, training
 
 Job = Callable[..., dict[str, Any]]
@@ -118,5 +119,5 @@ def test_a_family_with_filters_is_judged_with_them_held_and_fixed(small: Job) ->
     np.testing.assert_allclose(found[fixed], margins(family, K_s[fixed], path=path).M_s, rtol=1e-9)
     known = np.unique(believed[~fixed])
     ratios = (K_s / believed)[~fixed][: np.sum(believed == known[0])]
-    judged_again = family_margins(family, known, ratios, path, FEWER_RATES)
+    judged_again = family_margins(family, known, ratios, path, telling_rates)
     np.testing.assert_allclose(found[~fixed].reshape(len(known), -1), judged_again.M_s, rtol=1e-9)

@@ -15,12 +15,12 @@ from jaxmpc.quantities import MARGINS
 from jaxmpc.spectra.residual import residual_rms
 from jaxmpc.spectra.spectrum import spectrum_of
 from jaxmpc.stability.family import family_margins, judged_where
+from jaxmpc.stability.held_beat import telling_rates
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.job.risk import soft_worst
 from tuning.objective.loss import HEADROOM
-from tuning.objective.measures import FEWER_RATES
 from tuning.objective.problem import FEWER, coarser, judged_cells, problem_of, training
 from tuning.search.corrected import rows_of, shared_of, values_and_slopes
 from tuning.search.run import run_search
@@ -191,7 +191,7 @@ def test_slopes_of_risk_and_of_every_constraint_are_central_differences(of_two: 
     known, ratios = judged_where(spec.params.listening, *FEWER)
     of_margins = values[1:-tissues].reshape(goals, -1)
     params = spec.space.exact(z)
-    judged = family_margins(params, known, ratios, path, FEWER_RATES)
+    judged = family_margins(params, known, ratios, path, telling_rates)
     for row, (name, limit) in zip(of_margins[:, ~fixed], spec.margin_goals.items(), strict=True):
         found = np.ravel(getattr(judged, name))
         inverse = limit / found if MARGINS[name].ceiling else found / limit

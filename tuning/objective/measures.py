@@ -23,7 +23,7 @@ from jaxmpc.spectra.spectrum import Spectrum
 from jaxmpc.spectra.true_force import swing_rms, true_rms
 from jaxmpc.stability import Margins, margins_one
 from jaxmpc.stability.family import held
-from jaxmpc.stability.held_beat import at_rates
+from jaxmpc.stability.held_beat import at_rates, telling_rates
 from jaxmpc.stability.loop import contact_of, contacts_of, each_its_own
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.contact import Contact
@@ -79,10 +79,6 @@ class Data(NamedTuple):
     """Metrics of the start point, (stiffness, scenarios, 3); for goals that are ratios."""
 
 
-FEWER_RATES = 3
-"""Rates of the heart at which a family that learns the beat is judged while it is tuned."""
-
-
 def judged_margins(loops: ClosedLoops, data: Data) -> Margins:
     """Margins of the loops that are judged, (starts, cells), as `jaxmpc.margins` defines them; traceable."""
     if data.believed is None:
@@ -92,8 +88,8 @@ def judged_margins(loops: ClosedLoops, data: Data) -> Margins:
     residual = jnp.broadcast_to(loops.residual[:, None], contacts.stiffness.shape)
 
     def one(gains: Gains, contact: Contact, residual: Any, believed: Any, learning: Repetition | None) -> Margins:
-        # Where the stiffness is not known nothing is learned.
-        beats = None if learning is None else at_rates(learning, FEWER_RATES, jnp.isfinite(believed))
+        # Where the stiffness is not known nothing is learned. A quarter of the rates that freezing judges at do.
+        beats = None if learning is None else at_rates(learning, telling_rates(learning), jnp.isfinite(believed))
         return margins_one(gains, contact, data.judged.ideal, residual, beats)
 
     over_cells = jax.vmap(one, in_axes=(0, 0, 0, 0, None))
