@@ -35,6 +35,14 @@ def test_limits_of_the_arm_imply_goals_where_none_are_given(small: Job) -> None:
     assert TuneSpec.from_dict(small()).implied == {}
 
 
+def test_the_search_holds_the_peak_that_freezing_promises_whatever_the_goals_are(small: Job) -> None:
+    spec = on_arm(small, {}, gain_margin_db=2.0, ideal=False)
+    assert spec.margin_goals == {"M_s": 2.0, "gain_margin_db": 2.0} == floor_of(spec)
+    assert on_arm(small, {}, gain_margin_db=2.0, M_s=3.0, ideal=False).margin_goals["M_s"] == 3.0
+    for study in (on_arm(small, UNLIMITED, gain_margin_db=2.0, ideal=False), on_arm(small, {}, gain_margin_db=2.0)):
+        assert set(study.margin_goals) == {"gain_margin_db"}, "nobody promises it of a study, nor of the ideal loop"
+
+
 def test_an_implied_goal_is_part_of_the_job(small: Job) -> None:
     implied, given = on_arm(small, {}), on_arm(small, {}, M_s=2.0, chatter=0.12 * 10.0, clamped=1e-3)
     assert implied.digest == given.digest
@@ -53,7 +61,7 @@ def test_freezing_is_asked_with_the_margins_of_the_job(small: Job) -> None:
 def test_the_best_start_that_may_fly_is_the_result(
     small: Job, monkeypatch: pytest.MonkeyPatch, refused: tuple[int, ...], chosen: int
 ) -> None:
-    spec = TuneSpec.from_dict(small(tune={"starts": 3, "free": {"K2": True}}))
+    spec = TuneSpec.from_dict(small(tune={"starts": 3, "free": {"K2": True}}, goals={"M_s": 50.0}))
     state = SearchState.new(spec.space.draw(3, 0), (), 1, (1, 1))
     state.best_z, state.best = state.z, np.array([0.9, 0.5, 0.7])
     state.path[0], state.hard[0], state.iteration = state.z, 0.9, 1

@@ -1,4 +1,4 @@
-"""Goals that a robot's limits imply: where a job on the arm leaves them out, they are held all the same.
+"""Goals that freezing for a robot implies: where a job on the arm leaves them out, they are held all the same.
 
 The law turns each count of the force sensor into torque within the same sample, and neither residual nor margins mind.
 What a joint is asked to change from one sample to the next grows with the chatter: on the arm of Table I the largest
@@ -6,6 +6,7 @@ change of joint 2, the one that carries most, is some 7 N m per m/s². Chatter i
 """
 
 from jaxmpc.experiment import Experiment
+from jaxmpc.quantities import HIGHEST_M_S
 
 CLAMPED = 1e-3
 """Largest share of samples at which a limit acts, of a controller that flies [-] (`definitions.md`)."""
@@ -14,12 +15,18 @@ CHATTER_PER_STEP = 0.12
 JOINT_2 = 1
 
 
-def implied_goals(experiment: Experiment) -> dict[str, float]:
-    """Limits of metrics that the experiment's own limits of its arm imply; none for the linear world or a study."""
+def implied_goals(experiment: Experiment, ideal: bool) -> dict[str, float]:
+    """M_s as any frozen controller promises it, and limits of metrics that those of the arm imply.
+
+    Args:
+        experiment: What is tuned on; the linear world or a study implies nothing.
+        ideal: Whether margins are those of the ideal loop, of which freezing for an arm promises nothing.
+    """
     if not experiment.limited:
         return {}
     torque, step = experiment.arm.joint_torque_limit, experiment.arm.torque_step_limit
-    found = {"clamped": CLAMPED}
+    found = {} if ideal else {"M_s": HIGHEST_M_S}
+    found["clamped"] = CLAMPED
     # What is measured is the largest of all joints, whichever it is.
     if all(torque):
         found["joint_torque"] = max(torque)

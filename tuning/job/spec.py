@@ -133,7 +133,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             "experiment": f"{experiment.name}, physics {experiment.physics}, {experiment.duration:g} s, "
             f"K_s {tissues} N/m",
             "free": ", ".join(name if value is None else f"{name} from {value:.4g}" for name, value in start.items()),
-            "held": ", ".join(hard) + (f"; by the robot's limits {', '.join(implied)}" if implied else ""),
+            "held": ", ".join(hard) + (f"; for a robot {', '.join(implied)}" if implied else ""),
             "minimised": ", ".join(f"{name} over {limit:g}" for name, limit in self.soft.items()),
             "met": f"rhythms {', '.join(met.rhythms) or 'none'}; friction ±{100 * met.friction:g} %, "
             f"masses ±{100 * met.mass:g} %, delay {', '.join(map(str, met.delays)) or experiment.delay}",
@@ -200,8 +200,9 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def implied(self) -> dict[str, float]:
-        """Hard goals that the robot's limits imply where none is given."""
-        return {name: limit for name, limit in implied_goals(self.experiment).items() if name not in self.goals}
+        """Hard goals that freezing for a robot implies where none is given."""
+        found = implied_goals(self.experiment, self.ideal)
+        return {name: limit for name, limit in found.items() if name not in self.goals}
 
     @property
     def held(self) -> dict[str, float]:

@@ -25,13 +25,13 @@ class Row(NamedTuple):
     at: float | None
     """Where the tuned controller stands worst [N/m]."""
     implied: bool = False
-    """Whether the robot's limits imply it, and the job leaves it out."""
+    """Whether freezing for a robot implies it, and the job leaves it out."""
     beside_lost: tuple[float, ...] = ()
     """Tissues on which a ratio is met by whatever lasts, since the controller before was lost there [N/m]."""
 
     @property
     def kind(self) -> str:
-        """Hard, soft, or held because the robot's limits imply it."""
+        """Hard, soft, or held because freezing for a robot implies it."""
         return ("implied" if self.implied else "hard") if self.hard else "soft"
 
     @property
@@ -68,7 +68,7 @@ def rows(result: TuneResult) -> list[Row]:
         before, after = (np.asarray(getattr(judged.margins, name)) for judged in both)
         worst = float(GOALS[name].worst(before)), float(GOALS[name].worst(after))
         place = (np.argmax if GOALS[name].ceiling else np.argmin)(after)
-        found.append(Row(name, True, limit, worst, float(both[1].stiffness[place])))
+        found.append(Row(name, True, limit, worst, float(both[1].stiffness[place]), name in spec.implied))
     limits = [(name, limit, True) for name, limit in spec.hard_goals.items()]
     limits += [(name, limit, False) for name, limit in spec.soft.items()]
     overshoot: Any = (np.nan, np.nan)

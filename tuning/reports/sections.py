@@ -73,7 +73,7 @@ def _goals(result: TuneResult) -> Section:
         "scenarios in training."
     )
     if spec.implied:
-        words += " Implied ones are not in the job: the robot's limits demand them."
+        words += " Implied ones are not in the job: freezing for a robot demands them."
     return Section("Goals", [words], [Table(("goal", "before", "after", "met", "worst at K_s [N/m]"), lines)])
 
 
