@@ -36,9 +36,8 @@ def result_of_a_sweep() -> Result:
 def tuned() -> tuning.TuneResult:
     """A result whose numbers are given, as no test here has an hour to tune."""
     held = Metrics(*(np.full((2, 4, 3, 3), 0.02) * [[[[1.0]]], [[[0.5]]]] for _ in Metrics._fields))
-    found = Margins(
-        *np.full((len(Margins._fields) - 1, 2, len(JOB.judged_at)), 1.5), np.zeros((2, len(JOB.judged_at)), int)
-    )
+    numbers = np.array([1.5, 8.0, 8.0, 40.0, 2e-3, 0.9])[:, None, None] * np.ones((2, len(JOB.judged_at)))
+    found = Margins(*numbers, np.zeros((2, len(JOB.judged_at)), int))
     return tuning.TuneResult(
         JOB, Params.published("cautious"), True, {"as run": found, "ideal": found}, (None, None), [], {}, held
     )

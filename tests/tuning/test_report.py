@@ -122,6 +122,14 @@ def test_what_freezing_refuses_is_not_met(result: TuneResult) -> None:
     assert report(refused).startswith("it may not fly: freeze refuses golden_torque of J2 = 117 N m\n")
 
 
+def test_a_goal_that_the_proof_judges_missed_is_not_met(result: TuneResult) -> None:
+    """The search judges a family at fewer rates of the heart; of a study nobody asks freezing."""
+    found = result.margins["as run"]
+    seen = replace(result, margins={"as run": found._replace(M_s=found.M_s + 0.03), "ideal": found})
+    assert verdict(seen).startswith("no point meets every goal: M_s ≤ 2 is missed by 0.01 at 1900 N/m")
+    assert not seen.met
+
+
 def test_a_study_without_limits_says_so_first(result: TuneResult) -> None:
     arm = msgspec.structs.replace(result.spec.experiment, name="study", physics="wam")
     study = replace(result, spec=msgspec.structs.replace(result.spec, experiment=arm.without_limits()))

@@ -58,8 +58,11 @@ class TuneResult(FoundController):
 
     @property
     def met(self) -> bool:
-        """Whether it holds every hard goal, and freezing accepts it where it is for a robot."""
-        return self.feasible and not self.refused
+        """Whether it holds every hard goal, to the proof as to the search, and freezing accepts it for a robot."""
+        found = self.judged(1).margins
+        goals = np.asarray(margin_goals(found, self.spec.margin_goals).normalised)
+        proven = (goals <= FEASIBLE).all() and (np.asarray(found.spectral_radius) < 1.0).all()
+        return self.feasible and not self.refused and bool(proven)
 
     @property
     def held(self) -> np.ndarray:
