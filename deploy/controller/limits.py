@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, within
 from jaxmpc.law.vectors import Vector4
 
 Range = tuple[float, float]
@@ -136,7 +136,7 @@ def _between(name: str, value: Any, lowest: float, highest: float, unit: str) ->
     number = _number(name, value)
     if not lowest <= number <= highest:
         remedy = "Nobody can declare a limit outside of that: see deploy/controller/limits.py."
-        raise InputError(f"limits.{name}", f"{number:g}", f"in [{lowest:g}, {highest:g}] {unit}", remedy)
+        raise InputError(f"limits.{name}", f"{number:g}", within(lowest, highest, unit), remedy)
     return number
 
 

@@ -75,6 +75,11 @@ def plain_name(key: str, name: str) -> str:
     raise InputError(key, name, bound, "It becomes the name of a file.")
 
 
+def within(low: float, high: float, unit: str) -> str:
+    """The bound of a number that lies between two, with its unit; "-" is none and stays unsaid."""
+    return f"in [{low:g}, {high:g}] {unit}".removesuffix(" -")
+
+
 def check_type(key: str, value: Any, kind: type, remedy: str) -> None:
     """Refuse an argument of another type, such as a name in the place of what has that name.
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, nearest, within
 from jaxmpc.law.gains import KNOTS_APART
 from jaxmpc.law.stiffness import StiffnessIdentification
 
@@ -76,7 +76,7 @@ class Listening:
             value = getattr(self, name)
             kind = int if name == "harmonics" else int | float
             if isinstance(value, bool) or not (isinstance(value, kind) and low <= value <= high):
-                raise InputError(f"listening.{name}", value, f"in [{low:g}, {high:g}] {unit}", "Leave it out.")
+                raise InputError(f"listening.{name}", value, within(low, high, unit), "Leave it out.")
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> "Listening":

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, nearest, within
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 
 
@@ -105,12 +105,12 @@ def check_values(
         InputError: Names the parameter, the first wrong value, the bound and the remedy.
     """
     for name, value in values.items():
-        unit, (low, high) = PARAMETERS[name].unit, PARAMETERS[name].bounds
+        row, (low, high) = PARAMETERS[name], PARAMETERS[name].bounds
         wrong = ~(np.isfinite(value) & (value >= low) & (value <= high))
         if wrong.any():
-            usual = float(np.sqrt(np.prod(PARAMETERS[name].search[:2]))) if typical[name] is None else typical[name]
-            remedy = f"Correct {name}; a typical value is {usual} {unit}."
-            raise InputError(name, value[wrong].flat[0], f"in [{low:g}, {high:g}] {unit}", remedy)
+            usual = float(np.sqrt(np.prod(row.search[:2]))) if typical[name] is None else typical[name]
+            remedy = f"Correct {name}; a typical value is {row.amount(usual, '')}."
+            raise InputError(name, value[wrong].flat[0], within(low, high, row.unit), remedy)
     for name in (name for name in HORIZONS if name in values):
         fractional = values[name] != np.floor(values[name])
         if fractional.any():

@@ -92,6 +92,8 @@ WRONG = {
     "bounds upside down": ("[tune.free]\nK2 = [50.0, 5.0]", "tune.free.K2", "[lowest, highest]", 2),
     "three bounds": ("[tune.free]\nK2 = [1.0, 2.0, 3.0]", "tune.free.K2", "[lowest, highest]", 2),
     "bound out of range": ("[tune.free]\nHp = [2, 65]", "tune.free.Hp", "in [1, 64]", 2),
+    "bound without a unit": ("[tune.free]\nlam = [0.0, 1.0]", "tune.free.lam", "in [1e-12, 1e+12]. Move", 2),
+    "value without a unit": ("[params]\nlam = 0.0", "params.lam", "1e+12]. Correct lam; a typical value is 0.1.", 2),
     "bound nan": ("[tune.free]\nK2 = [nan, 50.0]", "tune.free.K2", "in [0, 10000]", 2),
     "half a sample": ("[tune.free]\nHp = [2.5, 40]", "tune.free.Hp", "whole", 2),
     "start outside": ("[params]\nK2 = 5.0\n[tune.free]\nK2 = [10.0, 50.0]", "tune.free.K2", "start point", 4),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxmpc.experiment import Experiment
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, nearest, within
 from jaxmpc.quantities import FILTERS, PARAMETERS
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.values import least_horizon
@@ -111,7 +111,7 @@ def check_axis(axis: FreeParameter, params: Params) -> None:
     for value in bounds:
         for unit in [axis.counted_in(params, knot) for knot in axis.knots] or [1.0]:
             if not (math.isfinite(value) and low <= value * unit <= high):
-                bound = f"in [{low / unit:g}, {high / unit:g}] {axis.unit}"
+                bound = within(low / unit, high / unit, axis.unit)
                 raise InputError(key, value, bound, "Move this bound inside.")
     if axis.low >= axis.high:
         raise InputError(key, bounds, "[lowest, highest]", "Exchange or part the bounds.")
