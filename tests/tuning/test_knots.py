@@ -107,6 +107,8 @@ def test_whole_horizons_of_a_knot_stay_ordered(of_two: Callable[..., TuneSpec]) 
         ({"experiment": {"stiffness": [375.0]}}, "experiment.stiffness", "Add 810"),
         ({"experiment": {"physics": "linear"}}, "experiment.physics", "family-wam"),
         ({"goals": {"overshoot": 0.1}}, "goals.overshoot", "fixed gains"),
+        ({"goals": {"soft": {"overshoot": 0.1}}}, "goals.soft.overshoot", "fixed gains"),
+        ({"pareto": {"overshoot": [0.1, 0.2]}}, "pareto.overshoot", "fixed gains"),
     ],
 )
 def test_what_no_knot_has_is_refused_by_name(

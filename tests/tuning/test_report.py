@@ -202,12 +202,13 @@ def test_the_command_in_the_file_freezes_what_was_tuned_on_what_it_was_tuned_on(
     arm = TuneSpec.from_dict(
         small(
             experiment={"published": "table-1-wam", "arm": {"compensation": 0.7}, "stiffness": [300.0, 3000.0]},
-            goals={"ideal": False, "M_s": 1.9, "delay_margin_s": 1.5e-3},
+            goals={"ideal": False, "M_s": 1.9, "gain_margin_db": 6.0205999, "delay_margin_s": 1.5e-3},
         )
     )
     words = freeze_command(arm, "experiment.toml").split()
     assert words[:5] == ["jaxmpc", "freeze", "params.toml", "--experiment", "experiment.toml"]
-    assert words[5:-2] == ["--max-ms", "1.9", "--min-delay-ms", "1.5"]
+    promised = ["--max-ms", "1.9", "--min-delay-ms", "1.5", "--min-gain-db", "6.0205999"]
+    assert words[5:-2] == promised, "no digit less: it could be refused for the last"
     assert Experiment.from_dict(tuned_on(arm.experiment)) == arm.experiment
     ideal = TuneSpec.from_dict(small(goals={"ideal": True, "gain_margin_db": 6.0}))
     assert freeze_command(ideal, "table-1").split()[5:-2] == ["--ideal", "--max-ms", "2", "--min-gain-db", "6"]

@@ -115,8 +115,10 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             if K not in self.experiment.stiffness:
                 remedy = f"Add {K:g}: a knot is judged on tissue of its own stiffness."
                 raise InputError("experiment.stiffness", list(self.experiment.stiffness), "with every knot's", remedy)
-        if OVERSHOOT in {**self.soft, **self.goals}:
-            raise InputError(f"goals.{OVERSHOOT}", "given", "left out with knots", "It is of the fixed gains alone.")
+        for key, goals in (("goals.soft", self.soft), ("goals", self.goals), ("pareto", self.pareto)):
+            if OVERSHOOT in goals:
+                remedy = "It is of the fixed gains alone."
+                raise InputError(f"{key}.{OVERSHOOT}", goals[OVERSHOOT], "left out with knots", remedy)
 
     def __repr__(self) -> str:
         lines = [described.Line(title, text, "", "") for title, text in self.resolved().items()]

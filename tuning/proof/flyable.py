@@ -26,7 +26,7 @@ def freeze_command(spec: TuneSpec, experiment: str) -> str:
     """
     ideal = spec.ideal and not spec.on_arm
     floor = {"M_s": HIGHEST_M_S, **spec.margin_goals} if ideal else floor_of(spec)
-    flags = [f"{FLOOR_FLAGS[name]} {limit * MARGINS[name].times:g}" for name, limit in floor.items()]
+    flags = [f"{FLOOR_FLAGS[name]} {limit * MARGINS[name].times:.12g}" for name, limit in floor.items()]
     loop = ["--ideal"] if ideal else []
     return " ".join(["jaxmpc freeze params.toml --experiment", experiment, *loop, *flags, "-o controller.npz"])
 
