@@ -187,10 +187,14 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         return msgspec.structs.replace(self, motion=motion, sensor=msgspec.structs.replace(self.sensor, seed=seed))
 
     @property
+    def draws_motion(self) -> bool:
+        """Whether another seed is another motion; a recording is the same one for all."""
+        return self.motion.kind in ("harmonics", "rhythm")
+
+    @property
     def draws(self) -> str:
         """What differs from seed to seed, in words."""
-        moved = self.motion.kind in ("harmonics", "rhythm")
-        return "drawn motions" if moved else "drawn noises, on one motion,"
+        return "drawn motions" if self.draws_motion else "drawn noises, on one motion,"
 
     @property
     def limited(self) -> bool:

@@ -19,7 +19,7 @@ from jaxmpc.quantities import METRICS
 from jaxmpc.report.loops import Curves
 from jaxmpc.stability import Margins
 from jaxmpc.world.heart.motion import Motion
-from tuning import TuneResult, TuneSpec, report
+from tuning import Scenarios, TuneResult, TuneSpec, report
 from tuning.proof.flyable import freeze_command
 from tuning.proof.limits import Active, LimitStudy, active_margins
 from tuning.proof.reached import STUDY, Row, rows, verdict
@@ -108,6 +108,16 @@ def test_the_text_says_it_all(result: TuneResult) -> None:
     assert "M_s is active at 1900 N/m, 99.0 % of its limit" in said
     worst = 1e3 * result.heldout.rms[:, [0, 2, 3], 0, 0].max(axis=1)
     assert re.search(rf"375 +{worst[0]:.1f} → {worst[1]:.1f}", said)
+
+
+def test_a_motion_that_no_seed_draws_is_not_called_held_out(result: TuneResult) -> None:
+    said = "own motion is one, the same held out as in training, which saw its first 5 s"
+    assert said not in report(result)
+    one = msgspec.structs.replace(result.spec.experiment, name="one", motion=Motion(kind="none"))
+    of_one = msgspec.structs.replace(result.spec, experiment=one)
+    assert said in report(replace(result, spec=of_one))
+    drawn = msgspec.structs.replace(of_one, scenarios=Scenarios(rhythms=("premature",)))
+    assert said not in report(replace(result, spec=drawn))
 
 
 def test_a_goal_that_held_in_training_alone_is_told(result: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:

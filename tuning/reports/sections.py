@@ -112,7 +112,13 @@ def _scenarios(result: TuneResult) -> Section:
     tune = result.spec.tune
     used = {"training": tune.train_seeds, "validation": tune.validation_seeds, "held out": tune.heldout_seeds}
     lines = [[what, _spans(seeds)] for what, seeds in used.items()]
-    return Section("Scenarios", [], [Table(("used for", "seeds"), lines)])
+    words = []
+    if "own" in result.spec.scenarios.rhythms and not result.spec.experiment.draws_motion:
+        words = [
+            "The experiment's own motion is one, the same held out as in training, which saw its first "
+            f"{tune.duration:g} s: seeds draw all but the motion."
+        ]
+    return Section("Scenarios", words, [Table(("used for", "seeds"), lines)])
 
 
 def _robustness(result: TuneResult) -> Section:
