@@ -11,6 +11,7 @@ import pytest
 from jaxmpc import Params, design
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import write_toml
+from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS
 from jaxmpc.spectra.residual import residual_rms
 from jaxmpc.spectra.spectrum import spectrum_of
@@ -21,7 +22,7 @@ from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.job.risk import soft_worst
 from tuning.objective.loss import HEADROOM
-from tuning.objective.problem import FEWER, coarser, judged_cells, problem_of, training
+from tuning.objective.problem import FEWER, _held, coarser, judged_cells, problem_of, training
 from tuning.search.corrected import rows_of, shared_of, values_and_slopes
 from tuning.search.run import run_search
 
@@ -153,6 +154,21 @@ def test_knots_are_judged_where_freeze_judges_and_fixed_gains_where_they_move(of
 def test_fixed_gains_that_stay_and_miss_a_goal_are_refused(of_two: Callable[..., TuneSpec]) -> None:
     with pytest.raises(InputError, match=r"M_s = 4\.\d+ at 375 N/m: must be ≤ 2 with its fixed gains"):
         run_search(of_two(params={"published": "text"}))
+    with pytest.raises(InputError, match=r"tune\.orders, of 2 = M_s = 10\.\d+ at 375 N/m: must be ≤ 2 with its fixed"):
+        run_search(of_two(tune={"orders": [1, 2]}))
+
+
+def test_a_ratio_to_what_was_lost_on_a_tissue_is_refused_where_each_counts(of_two: Callable[..., TuneSpec]) -> None:
+    """A risk of 0 there would make the mean over the tissues 0, for every controller: nothing would be left to find."""
+    lost = Metrics(*np.ones((len(Metrics._fields), 2, 1, 3)))
+    lost.peak_error[1] = np.nan
+    with pytest.raises(InputError, match="baseline = lost in every run on 810 N/m"):
+        _held(of_two(goals={"soft": {"rms_ratio": 0.5}}), lost)
+    some = Metrics(*np.ones((len(Metrics._fields), 2, 2, 3)))
+    some.peak_error[1, 0] = np.nan
+    for held, soft in ((some, {"rms_ratio": 0.5}), (lost, {"rms_ratio": 0.5, "rms": 0.05})):
+        known = np.isfinite(_held(of_two(goals={"soft": soft}), held).rms)
+        np.testing.assert_array_equal(known, np.isfinite(held.peak_error))
 
 
 @pytest.mark.oracle

@@ -56,7 +56,9 @@ def test_a_run_that_was_lost_has_no_risk(kind: Any) -> None:
     lost = jnp.asarray(VALUES).at[1, 3].set(jnp.nan)
     assert np.isnan(Risk(kind=kind).over(lost)).tolist() == [False, True, False]
     assert np.isnan(_geometric_mean(lost)).tolist() == [False, True, False]
-    assert float(_geometric_mean(lost.at[0, 0].set(0.0))[0]) == 0.0
+    beside_nothing = _geometric_mean(lost.at[:2, 0].set(0.0))
+    assert float(beside_nothing[0]) == 0.0
+    assert np.isnan(beside_nothing[1]), "0 is the best there is"
 
 
 def test_nothing_at_all_has_a_slope_of_zero() -> None:

@@ -223,9 +223,10 @@ def _still(stable: Array, gains: Gains) -> Gains:
 
 
 def _geometric_mean(values: Float[Array, "starts stiffness"]) -> Float[Array, " starts"]:
-    """0 where one is, NaN where one is that."""
+    """0 where one is, NaN where one is that, whatever the others are."""
     some = jnp.all(values != 0.0, axis=1)
-    return jnp.where(some, jnp.exp(jnp.mean(jnp.log(jnp.where(values == 0.0, 1.0, values)), axis=1)), 0.0)
+    mean = jnp.exp(jnp.mean(jnp.log(jnp.where(values == 0.0, 1.0, values)), axis=1))
+    return jnp.where(some | jnp.isnan(mean), mean, 0.0)
 
 
 def _wide(goals: Mapping[str, Array]) -> list[Array]:

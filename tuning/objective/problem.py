@@ -174,21 +174,26 @@ def problem_of(
         scene = jax.tree.map(jnp.asarray, _scene(old, spectral, swinging))
         seen_before = data._replace(scene=scene, spectra=_spectra(old) if spectral else None)
         reference = measure(spec.before, seen_before, structure._replace(world=world))
-        data = data._replace(reference=reference if spectral else _held(reference))
+        data = data._replace(reference=reference if spectral else _held(spec, reference))
     return Problem(data, structure)
 
 
-def _held(reference: Metrics) -> Metrics:
+def _held(spec: TuneSpec, reference: Metrics) -> Metrics:
     """What ratios are taken to, NaN where the controller before was lost: whatever lasts is better there.
 
     Raises:
-        InputError: It was lost everywhere, so that every controller would be as good as any other.
+        InputError: It was lost everywhere, so that every controller would be as good as any other; or beside a family
+            on a tissue, of which a risk of 0 would make the mean over the tissues 0.
     """
     peak = jnp.asarray(reference.peak_error)
     held = jnp.all(jnp.isfinite(peak) & (peak < HIGHEST_FORCE), axis=2, keepdims=True)
-    if not held.any():
+    on_tissue = held.any(axis=(1, 2))
+    ratios = all(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in spec.soft)
+    each_counts = ratios and spec.params.listening is not None
+    if not (on_tissue.all() if each_counts else on_tissue.any()):
+        where = f" on {spec.experiment.stiffness[int(jnp.argmin(on_tissue))]:g} N/m" if on_tissue.any() else ""
         remedy = "Compare with one that is stable, or minimise goals in units of their own, such as rms."
-        raise InputError("baseline", "lost in every run", "held in one at least, for ratios to it", remedy)
+        raise InputError("baseline", f"lost in every run{where}", "held in one at least, for ratios to it", remedy)
     found: Metrics = jax.tree.map(lambda field: jnp.where(held, field, jnp.nan), reference)
     return found
 

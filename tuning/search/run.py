@@ -64,8 +64,9 @@ def run_search(
     Raises:
         InputError: The fixed gains of a family, which stay, miss a hard goal already; or the folder is of another job.
     """
-    _check_fixed(spec)
     jobs = [spec.with_order(order) for order in spec.tune.orders] or [spec]
+    for job in jobs:
+        _check_fixed(job, job is not spec)
     if folder is not None:
         check_states(folder, [job.digest for job in jobs])
     with threads() as pool:
@@ -135,8 +136,8 @@ def proposed(spec: TuneSpec, state: SearchState, count: int) -> np.ndarray:
     return np.stack(chosen)
 
 
-def _check_fixed(spec: TuneSpec) -> None:
-    """Refuse to tune knots beside fixed gains that hold no goal and cannot move."""
+def _check_fixed(spec: TuneSpec, of_another_order: bool) -> None:
+    """Refuse to tune knots beside fixed gains that miss a goal and cannot move, of another order than given too."""
     if not spec.fixed_stay:
         return
     found = margins(spec.params, spec.judged_at, path=spec.experiment.loop_path(spec.ideal))
@@ -145,8 +146,14 @@ def _check_fixed(spec: TuneSpec) -> None:
         if not goal.kept(values, limit).all():
             K_s = spec.judged_at[int((np.argmax if goal.ceiling else np.argmin)(values))]
             value = f"{name} = {goal.worst(values):.4g} at {K_s:.4g} N/m"
-            remedy = 'They stay as they are: tune them by themselves first, or take published = "cautious".'
-            raise InputError("params", value, f"{goal.sign} {goal.amount(limit)} with its fixed gains", remedy)
+            key, remedy = (
+                "params",
+                'They stay as they are: tune them by themselves first, or take published = "cautious".',
+            )
+            if of_another_order:
+                key = f"tune.orders, of {spec.params.disturbance_order}"
+                remedy = "They are designed with that order and then stay: leave it out, or free them, too."
+            raise InputError(key, value, f"{goal.sign} {goal.amount(limit)} with its fixed gains", remedy)
 
 
 def _starts(spec: TuneSpec) -> int:
