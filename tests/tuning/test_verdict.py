@@ -1,0 +1,90 @@
+"""The verdict on a result: which goals are met, on what, beside whom, and by whose word."""
+
+import re
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from tuning import TuneResult, report
+from tuning.proof.reached import STUDY, Row, rows, verdict
+
+
+def test_a_goal_that_held_in_training_alone_is_told(result: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    known, missed = rows(result), Row("chatter", True, 1.2, (0.8, 1.207), 1900.0)
+    monkeypatch.setattr("tuning.proof.reached.rows", lambda _: [*known, missed])
+    assert verdict(result) == "all hard goals are met in training; held out, missed: chatter ≤ 1.2 m/s²"
+
+
+def test_what_freezing_refuses_is_not_met(result: TuneResult) -> None:
+    refused = replace(result, refused="golden_torque of J2 = 117 N m")
+    assert not refused.met
+    assert report(refused).startswith("it may not fly: freeze refuses golden_torque of J2 = 117 N m\n")
+
+
+def test_a_goal_that_the_proof_judges_missed_is_not_met(result: TuneResult) -> None:
+    """The search judges a family at fewer rates of the heart; of a study nobody asks freezing."""
+    found = result.margins["as run"]
+    seen = replace(result, margins={"as run": found._replace(M_s=found.M_s + 0.03), "ideal": found})
+    assert verdict(seen).startswith("no point meets every goal: M_s ≤ 2 is missed by 0.01 at 1900 N/m")
+    assert not seen.met
+
+
+def test_a_study_without_limits_says_so_first(result: TuneResult) -> None:
+    arm = msgspec.structs.replace(result.spec.experiment, name="study", physics="wam")
+    study = replace(result, spec=msgspec.structs.replace(result.spec, experiment=arm.without_limits()))
+    assert verdict(study) == f"all hard goals are met; {STUDY}"
+    limited = replace(result, spec=msgspec.structs.replace(result.spec, experiment=arm))
+    assert (
+        verdict(limited) == "all hard goals are met in training; held out, missed: clamped ≤ 0.001; freeze accepts it"
+    )
+    implied = [row for row in rows(limited) if row.kind == "implied"]
+    assert [row.name for row in implied] == ["chatter", "clamped", "joint_torque", "torque_step"]
+
+
+def test_ratios_are_those_of_the_scenarios_that_were_held_before(result: TuneResult) -> None:
+    M_s, delay, rms, ratio = rows(result)
+    counted = [0, 2, 3]
+    assert (M_s.reached, M_s.met, M_s.at) == ((5.0, 1.98), True, 1900.0)
+    assert (delay.reached, delay.met, delay.hard) == ((2e-3, 2e-3), True, True)
+    assert rms.reached == pytest.approx([result.heldout.rms[which].max() for which in (0, 1)])
+    before, after = result.heldout.peak_to_peak[:, counted]
+    assert ratio.reached == pytest.approx([1.0, (after / before).max()])
+    assert not ratio.met
+    assert not ratio.hard
+
+
+def test_who_is_lost_where_the_one_before_was_lost_has_not_met_every_goal(result: TuneResult) -> None:
+    for field in result.heldout:
+        field[1, 1] = np.nan
+    _, _, rms, ratio = rows(result)
+    assert np.isnan(rms.reached[1])
+    assert not rms.met
+    assert np.isfinite(ratio.reached).all()
+    assert verdict(result) == "all hard goals are met in training; held out, missed: |e| < 2 N in scenario 1001"
+
+
+@pytest.mark.parametrize("peak", [np.nan, 3.0])
+def test_a_ratio_beside_a_baseline_that_was_lost_says_so(result: TuneResult, peak: float) -> None:
+    """On 1900 N/m in every scenario: then none is left out, and who lasts has met the ratio there."""
+    result.heldout.peak_to_peak[1] = 0.5 * result.heldout.peak_to_peak[0]
+    result.heldout.peak_error[0, :, 2] = peak
+    result.heldout.peak_to_peak[0, :, 2] = 100.0 * peak
+    *others, ratio = rows(result)
+    assert ratio.met
+    assert ratio.said == "yes (baseline lost on 1900 N/m)"
+    assert [row.said for row in others] == ["yes"] * len(others)
+    assert re.search(r"soft: peak_to_peak_ratio ≤ 1 .* yes \(baseline lost on 1900 N/m\)", report(result))
+    assert verdict(result) == (
+        "all hard goals are met (baseline lost on 1900 N/m: whatever lasts has met ratios there)"
+    )
+
+
+def test_a_search_whose_runs_were_all_lost_has_met_nothing(result: TuneResult) -> None:
+    state = result.state
+    state.best[:], state.best_z[:], state.score[:] = np.inf, np.nan, np.nan
+    lost = replace(result, feasible=state.feasible)
+    assert not lost.met
+    assert verdict(lost) == lost.unmet()
+    assert lost.unmet().startswith("no point was found that has a score")
