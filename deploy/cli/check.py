@@ -162,7 +162,7 @@ def _print_arm(arm: "ArmModel") -> None:
     print(f"  encoders    judged with {arm.encoder_counts} counts per motor turn")
     print("\n  limit")
     for name, value in arm.limits.plain().items():
-        print(f"  {name:<22}{_list(value)} {ROWS[name].unit}")
+        print(f"  {name:<22}{_list(value)} {ROWS[name].unit}".removesuffix(" -"))
 
 
 def _times(artifact: "Artifact", count: int = 20_000) -> list[float]:

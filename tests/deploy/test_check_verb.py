@@ -38,6 +38,7 @@ def test_good_artifact_of_an_arm(arm_artifact, tmp_path, capsys):
     assert main(["check", str(path)]) == 0
     out = capsys.readouterr().out
     assert "gain        not guarded" in out
+    assert " -\n" not in out, "what has no unit"
     for words in ("kind        wam, runs", "Barrett WAM 4-DoF", "0.36 m", "× 0.9", "40 samples replayed", "1e-09 N m"):
         assert words in out
     for name in arm_artifact.arm.limits.plain():

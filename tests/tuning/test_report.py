@@ -32,6 +32,7 @@ def test_the_text_says_it_all(result: TuneResult) -> None:
     assert re.search(r"held out +1000–1002, 1007", said)
     assert re.search(r"validation +500", said)
     assert "Lost before: 1001 (left out below); lost after: none" in said
+    assert f"Worst margins of {len(result.spec.judged_at)} tissues, 375–1900 N/m, after (before)" in said
     assert "M_s is active at 1900 N/m, 99.0 % of its limit" in said
     worst = 1e3 * result.heldout.rms[:, [0, 2, 3], 0, 0].max(axis=1)
     assert re.search(rf"375 +{worst[0]:.1f} → {worst[1]:.1f}", said)

@@ -123,7 +123,7 @@ def _scenarios(result: TuneResult) -> Section:
 
 def _robustness(result: TuneResult) -> Section:
     at = result.spec.judged_at
-    sentences = [f"Worst margins over {at[0]:g}–{at[-1]:g} N/m, after (before)."]
+    sentences = [f"Worst margins of {len(at)} tissues, {at[0]:g}–{at[-1]:g} N/m, after (before)."]
     for goal in active_margins(result):
         stands = "active" if goal.normalised <= FEASIBLE else "missed"
         sentences.append(f"{goal.goal} is {stands} at {goal.place}, {100 * goal.normalised:.1f} % of its limit.")
