@@ -2,8 +2,11 @@
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
     from jaxmpc.experiment import Experiment
@@ -14,6 +17,8 @@ if TYPE_CHECKING:
 
 MILLI = 1e3
 PLACE = ("K_s N/m", "axis")
+FLAGS = {"M_s": "--sensitivity", "chatter": "--chatter", "band": "--band"}
+"""What asks for a demand."""
 HEADER = ("measured", "motion", "friction", "noise", "true", "chatter m/s²", "M_s")
 
 
@@ -44,7 +49,10 @@ def run(args: argparse.Namespace) -> int:
 
     check_file("-o", args.output, ".json")
     demands = Demands(args.sensitivity, args.chatter, args.band)
-    check_demands(demands)
+    try:
+        check_demands(demands)
+    except InputError as error:
+        raise replace(error, key=FLAGS[error.key]) from None
     experiment = experiment_from(args.experiment)
     params = params_from(args.params) if args.params else None
     known = f"known to ±{100.0 * demands.band:g} %" if demands.band else "known"

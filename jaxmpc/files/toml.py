@@ -17,6 +17,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 _KINDS = (
     (("tune", "goals"), "a tuning job, which `jaxmpc tune` takes"),
     (("sweep",), "the spec of a sweep, which `jaxmpc sweep` takes"),
+    (("provenance",), "a tuned controller, which goes with `--params`"),
     (("params",), "parameters, which go with `--params`"),
     (("physics", "duration", "stiffness"), "an experiment, which `jaxmpc simulate` takes"),
 )

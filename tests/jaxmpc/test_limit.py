@@ -281,3 +281,11 @@ def test_what_learns_the_beat_is_told_as_flown() -> None:
     assert "1.50 to 1.50 × the limit" in told([nothing, cell])
     assert "unstable" in told([cell, cell._replace(yours=judged._replace(rms=np.nan, M_s=np.inf))])
     assert flown_by(Params.published("cautious"), Experiment.published("table-1-wam")) is None
+
+
+@pytest.mark.parametrize(("flag", "value"), [("--sensitivity", "1"), ("--chatter", "0"), ("--band", "1")])
+def test_a_demand_that_makes_no_sense_is_told_by_its_flag(
+    flag: str, value: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["limit", "table-1", flag, value]) == 2
+    assert capsys.readouterr().err.startswith(f"jaxmpc limit: {flag} = {value}")

@@ -105,6 +105,7 @@ WRONG = {
     "unknown key": ("[tune]\nstep = 3", "tune.step", "'steps'", 2),
     "a setting that is gone": ('[tune]\nlevels = ["arm"]', "tune.levels", "known key", 2),
     "no steps": ("[tune]\nsteps = 0", "tune.steps", ">= 1", 2),
+    "a controller": ("[params]\n[provenance]\nmade_by = 1", "provenance", "looks like a tuned controller", 2),
     "unknown table": ("[goal]\nM_s = 2.0", "goal", "'goals'", 1),
     "unknown experiment key": ("[experiment]\nstiffnes = [1.0]", "experiment.stiffnes", "'stiffness'", 2),
     "negative stiffness": ("[experiment]\nstiffness = [-1.0]", "experiment.stiffness", "> 0", 2),
