@@ -105,12 +105,13 @@ def check_values(
         InputError: Names the parameter, the first wrong value, the bound and the remedy.
     """
     for name, value in values.items():
-        row, (low, high) = PARAMETERS[name], PARAMETERS[name].bounds
+        parameter = PARAMETERS[name]
+        low, high = parameter.bounds
         wrong = ~(np.isfinite(value) & (value >= low) & (value <= high))
         if wrong.any():
-            usual = float(np.sqrt(np.prod(row.search[:2]))) if typical[name] is None else typical[name]
-            remedy = f"Correct {name}; a typical value is {row.amount(usual, '')}."
-            raise InputError(name, value[wrong].flat[0], within(low, high, row.unit), remedy)
+            usual = float(np.sqrt(np.prod(parameter.search[:2]))) if typical[name] is None else typical[name]
+            remedy = f"Correct {name}; a typical value is {parameter.amount(usual, '')}."
+            raise InputError(name, value[wrong].flat[0], within(low, high, parameter.unit), remedy)
     for name in (name for name in HORIZONS if name in values):
         fractional = values[name] != np.floor(values[name])
         if fractional.any():
