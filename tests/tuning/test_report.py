@@ -134,6 +134,17 @@ def test_what_limits_it_in_words(result: TuneResult, study: Study) -> None:
     assert "friction 40.0 mN (64 % of its power), noise 10.0 mN (4 % of its power)" in parts
 
 
+def test_a_parameter_that_rests_at_its_bound_is_told(result: TuneResult, study: Study) -> None:
+    """The search is squashed into the bounds: at one it has no slope, however much there is to gain beyond."""
+    axes = {axis.name: axis for axis in result.spec.space.axes}
+    resting = replace(result, params=replace(result.params, Q_p=0.99 * axes["Q_p"].high, Hp=axes["Hp"].high))
+    said = [line for line in limits_text(resting, study) if "rests at its bound" in line]
+    assert [line.partition(":")[0] for line in said] == [
+        f"Q_p rests at its bound of {axes['Q_p'].high:g} (m/s²)²/N²",
+        f"Hp rests at its bound of {axes['Hp'].high:g} samples",
+    ]
+
+
 @pytest.mark.oracle
 def test_the_limit_of_the_same_goals_stands_beside_it(result: TuneResult) -> None:
     section = limit_section(replace(result, params=Params.published("cautious")))

@@ -95,11 +95,16 @@ class FreeParameter(NamedTuple):
 
     def unconstrained(self, value: Any) -> np.ndarray:
         """The inverse of `value`, a little inside of the bounds."""
+        share = np.clip(self.share(value), EDGE, 1.0 - EDGE)
+        z: np.ndarray = np.log(share / (1.0 - share)) * self._room()[1] / (4.0 * self.scale)
+        return z
+
+    def share(self, value: Any) -> np.ndarray:
+        """How far a value lies from the lower bound towards the upper one, on the axis A [-]."""
         low, room = self._room()
         along = np.log(value) if self.log else np.asarray(value)
-        share = np.clip((along - low) / room, EDGE, 1.0 - EDGE)
-        z: np.ndarray = np.log(share / (1.0 - share)) * room / (4.0 * self.scale)
-        return z
+        found: np.ndarray = (along - low) / room
+        return found
 
     def _room(self) -> tuple[float, float]:
         low, high = np.log([self.low, self.high]) if self.log else (self.low, self.high)
