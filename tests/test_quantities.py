@@ -61,8 +61,8 @@ def test_parameters_can_be_searched_and_swept() -> None:
 
 
 def test_metrics_and_margins_can_be_goals() -> None:
-    job = {"goals": {**dict.fromkeys(MARGINS, 1.5), **dict.fromkeys(METRICS, 1.0), "soft": dict.fromkeys(METRICS, 1.0)}}
-    spec = TuneSpec.from_dict(job)
+    goals = {**dict.fromkeys(MARGINS, 1.5), **dict.fromkeys(METRICS, 1.0), "soft": dict.fromkeys(METRICS, 1.0)}
+    spec = TuneSpec.from_dict({"experiment": {"published": "table-1-wam"}, "goals": goals})
     assert {*spec.margin_goals, *spec.hard_goals} == {*MARGINS, *METRICS}
     assert set(METRICS) < set(MEASURED) < set(GOALS)
     assert set(SPECTRAL) == {name for name, row in METRICS.items() if row.spectral}

@@ -19,6 +19,9 @@ RATIO = "ratio"
 OVERSHOOT = "overshoot"
 """Overshoot of the linear loop after a step of the reference, worst tissue, relative to the step [-]."""
 
+OF_JOINTS = ("clamped", "joint_torque", "torque_step")
+"""Metrics that the joints of an arm have; of the linear loop they are 0, which would meet any goal."""
+
 
 class RunGoal(NamedTuple):
     """What of a metric is bounded."""
@@ -141,3 +144,19 @@ def check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, Quanti
         if not (number and low < limit < math.inf):
             bound = f"a number above {known[name].amount(low)}"
             raise InputError(f"{table}.{name}", limit, bound, "Give a limit.")
+
+
+def refuse_goals_of_joints(goals: Mapping[str, Any], table: str) -> None:
+    """Refuse, for a job on the linear loop, what only an arm has.
+
+    Args:
+        goals: By name.
+        table: Of the job's file.
+
+    Raises:
+        InputError: Names key, value, bound and remedy.
+    """
+    for name, limit in goals.items():
+        if name in RUN_GOALS and RUN_GOALS[name].metric.name in OF_JOINTS:
+            remedy = 'The linear loop has no joints: set experiment.physics = "wam", or leave it out.'
+            raise InputError(f"{table}.{name}", limit, "a goal on the arm only", remedy)

@@ -1,6 +1,6 @@
 """What to tune, as a TOML file: experiment, starting point, free parameters, goals."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from jaxmpc.stability.family import judged_where
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.sampling import check_sampling
 from tuning.job.axes import axes_of, begun, check_axis, check_horizons
-from tuning.job.goals import GOALS, MEASURED, OVERSHOOT, check_goals
+from tuning.job.goals import GOALS, MEASURED, OVERSHOOT, check_goals, refuse_goals_of_joints
 from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
@@ -85,6 +85,10 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         check_horizons(self.space.axes)
         self._check_lengths()
 
+    def _goals(self) -> Iterator[tuple[str, Mapping[str, Any]]]:
+        """Tables of the job's file that name goals."""
+        yield from (("goals.soft", self.soft), ("goals", self.goals), ("pareto", self.pareto))
+
     def _check_lengths(self) -> None:
         """Refuse runs in which nothing would count, those of the proof too, which come last."""
         _ = self.experiment.scored
@@ -97,6 +101,8 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         """Refuse what only an arm can have."""
         if self.on_arm:
             return
+        for key, goals in self._goals():
+            refuse_goals_of_joints(goals, key)
         remedy = 'Tune it on the arm, experiment.physics = "wam"; freezing refuses it too.'
         if self.params.guarded:
             raise InputError("params.guarded", True, "false on the linear loop", remedy)
@@ -115,7 +121,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             if K not in self.experiment.stiffness:
                 remedy = f"Add {K:g}: a knot is judged on tissue of its own stiffness."
                 raise InputError("experiment.stiffness", list(self.experiment.stiffness), "with every knot's", remedy)
-        for key, goals in (("goals.soft", self.soft), ("goals", self.goals), ("pareto", self.pareto)):
+        for key, goals in self._goals():
             if OVERSHOOT in goals:
                 remedy = "It is of the fixed gains alone."
                 raise InputError(f"{key}.{OVERSHOOT}", goals[OVERSHOOT], "left out with knots", remedy)
