@@ -12,12 +12,12 @@ import numpy as np
 
 from jaxmpc import described
 from jaxmpc.experiment.reference import Reference
-from jaxmpc.experiment.signals import Signals, scored
+from jaxmpc.experiment.signals import Signals, fixed, scored
 from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
-from jaxmpc.experiment.together import TABLES, check_kinds, check_together
+from jaxmpc.experiment.together import TABLES, check_kinds, check_together, tuple_of_floats
 from jaxmpc.files.errors import InputError, nearest, plain_name
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
-from jaxmpc.files.toml import check_built, convert, known_keys, located, read_toml, told_by_type
+from jaxmpc.files.toml import check_built, convert, known_keys, located, plain_data, read_toml, told_by_type
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.synthesis.force_filter import cutoff_of, force_filter
 from jaxmpc.synthesis.timing import Timing
@@ -61,6 +61,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
 
     def __post_init__(self) -> None:
         check_kinds(self)
+        msgspec.structs.force_setattr(self, "stiffness", tuple_of_floats(self.stiffness))
         with told_by_type(self):
             check_together(self)
 
@@ -209,7 +210,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, every default written out; for hashes and manifests."""
-        data: dict[str, Any] = msgspec.to_builtins(self)
+        data: dict[str, Any] = plain_data(self)
         return data
 
     @property
@@ -224,7 +225,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
     @cached_property
     def heart(self) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] and velocity [m/s] of the heart's surface at every sample, each (steps, 3)."""
-        return displacement(self.motion, np.arange(self.steps) * self.sampling_time)
+        return fixed(displacement(self.motion, np.arange(self.steps) * self.sampling_time))
 
     @cached_property
     def scored(self) -> tuple[np.ndarray, np.ndarray]:
@@ -233,11 +234,11 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         Raises:
             InputError: None counts.
         """
-        return scored(self.reference, self.steps, self.sampling_time, self.settle)
+        return fixed(scored(self.reference, self.steps, self.sampling_time, self.settle))
 
     @cached_property
     def signals(self) -> Signals:
         """Everything that does not depend on the controller, computed once on the host."""
         wanted, score = self.scored
         noise = np.random.Generator(np.random.Philox([self.sensor.seed, 1])).standard_normal((self.steps, 3))
-        return Signals(self.heart[0], self.sensor.noise * noise, wanted, score)
+        return fixed(Signals(self.heart[0], self.sensor.noise * noise, wanted, score))

@@ -1,12 +1,14 @@
 """What the loop meets at each sample of an experiment, and which samples count."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from jaxmpc.experiment.reference import Reference, wanted_force
 from jaxmpc.files.errors import InputError
 from jaxmpc.quantities import AXES, HP_MAX
+
+Arrays = TypeVar("Arrays", bound=tuple[np.ndarray, ...])
 
 
 class Signals(NamedTuple):
@@ -20,6 +22,13 @@ class Signals(NamedTuple):
     """Wanted force, shape (steps, 3), longer by `HP_MAX` with preview [N]."""
     score: np.ndarray
     """Whether a sample counts in the metrics, shape (steps, 3)."""
+
+
+def fixed(arrays: Arrays) -> Arrays:
+    """The same arrays, which nobody can write to any more: an experiment keeps them for its next run."""
+    for array in arrays:
+        array.setflags(write=False)
+    return arrays
 
 
 def scored(reference: Reference, steps: int, T_s: float, settle: float) -> tuple[np.ndarray, np.ndarray]:

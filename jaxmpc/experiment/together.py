@@ -5,10 +5,12 @@ from types import MappingProxyType
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from jaxmpc.experiment.reference import Reference
 from jaxmpc.experiment.tables import RESOLVED, ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, plain_name
+from jaxmpc.files.toml import without_arrays
 from jaxmpc.world.heart.motion import Motion
 
 TABLES: Mapping[str, type[msgspec.Struct]] = MappingProxyType(
@@ -28,8 +30,13 @@ def check_kinds(experiment: Any) -> None:
             article = "an" if kind.__name__[0] in "AEIOU" else "a"
             remedy = "`Experiment.from_dict` takes tables for them."
             raise InputError(name, table, f"{article} {kind.__name__}", remedy)
-    if not isinstance(experiment.stiffness, tuple | list):
+    if not isinstance(experiment.stiffness, tuple | list) and np.ndim(experiment.stiffness) != 1:
         raise InputError("stiffness", experiment.stiffness, "a tuple of numbers [N/m]", "Write (810.0,) for one.")
+
+
+def tuple_of_floats(given: Any) -> tuple[Any, ...]:
+    """Numbers as floats, whatever sequence they come in, so that experiments that say the same are equal."""
+    return tuple(float(K) if type(K) is int else K for K in without_arrays(given))
 
 
 def check_together(experiment: Any) -> None:
@@ -43,6 +50,9 @@ def check_together(experiment: Any) -> None:
     plain_name("name", experiment.name)
     if not experiment.stiffness:
         raise InputError("stiffness", "[]", "at least one stiffness [N/m]", "The paper has [375.0, 810.0, 1900.0].")
+    if experiment.duration <= 0.5 * experiment.sampling_time:
+        bound = f"at least a sample (sampling_time = {experiment.sampling_time:g} s)"
+        raise InputError("duration", experiment.duration, bound, "Raise duration or sample faster.")
     if experiment.settle >= experiment.duration:
         remedy = "Lower settle or raise duration."
         raise InputError("settle", experiment.settle, f"below duration (= {experiment.duration:g} s)", remedy)

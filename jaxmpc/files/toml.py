@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.foreign import read_text, toml_of
@@ -47,7 +46,7 @@ def convert(data: Any, kind: type[T], root: str = "") -> T:
     """Plain data as a msgspec structure, with its mistakes as input errors.
 
     Args:
-        data: What a TOML file held.
+        data: What a TOML file held, or the same made in Python, in which numbers and lists may be numpy's or JAX's.
         kind: The structure wanted; it forbids unknown fields and bounds its numbers.
         root: Name of the table that `data` is, for messages.
 
@@ -55,7 +54,7 @@ def convert(data: Any, kind: type[T], root: str = "") -> T:
         InputError: An unknown key, a missing one, a wrong type, or a value out of bounds.
     """
     try:
-        return msgspec.convert(data, kind, strict=True)
+        return msgspec.convert(without_arrays(data), kind, strict=True)
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, InputError):
             raise error.__cause__ from None
@@ -64,13 +63,27 @@ def convert(data: Any, kind: type[T], root: str = "") -> T:
         raise InputError(root or "the file", "a huge number", "of 64 bits", "Write 1e30, say.") from None
 
 
+def without_arrays(data: Any) -> Any:
+    """Data with numbers and lists in the place of those of numpy and JAX; all else as it is."""
+    if isinstance(data, Mapping):
+        return {key: without_arrays(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [without_arrays(value) for value in data]
+    return data.tolist() if hasattr(data, "tolist") else data
+
+
+def plain_data(built: msgspec.Struct) -> Any:
+    """A structure as plain data, one that was built in Python of numpy's numbers too."""
+    return msgspec.to_builtins(built, enc_hook=_plain)
+
+
 def check_built(built: msgspec.Struct, root: str = "") -> None:
     """Hold a structure that was built in Python to the types and bounds that a file's values meet when it is read.
 
     Raises:
         InputError: A value of the wrong type or out of bounds, with its key as in the TOML file.
     """
-    convert(msgspec.to_builtins(built, enc_hook=_plain), type(built), root)
+    convert(plain_data(built), type(built), root)
 
 
 @contextmanager
@@ -87,8 +100,8 @@ def told_by_type(built: msgspec.Struct, root: str = "") -> Iterator[None]:
 
 
 def _plain(value: Any) -> Any:
-    """numpy's numbers as Python's; what is of another kind is told by its name."""
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else f"{value}"
+    """Numbers of numpy and JAX as Python's; what is of another kind is told by its name."""
+    return value.tolist() if hasattr(value, "tolist") else f"{value}"
 
 
 def _explain(error: msgspec.ValidationError, data: Any, kind: type[msgspec.Struct], root: str) -> InputError:

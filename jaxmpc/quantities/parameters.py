@@ -17,13 +17,24 @@ _CUTOFF: SearchRange = (30.0, 3e3, 1.0)
 
 
 def _array(value: Any) -> Any:
-    """Numbers become float64 arrays; what is an array already, traced or not, left open or no number stays as it is."""
-    if value is None or isinstance(value, bool | np.bool_) or (hasattr(value, "dtype") and not np.isscalar(value)):
+    """Numbers become float64 arrays; what is an array already, traced or not, left open or no number stays as it is.
+
+    Arrays of numpy are copied unless nobody can write to them, so that a controller stays what was checked.
+    """
+    if isinstance(value, np.ndarray):
+        return _fixed(value.copy()) if value.flags.writeable else value
+    no_number = value is None or isinstance(value, bool | np.bool_ | str | bytes | complex | np.complexfloating)
+    if no_number or (hasattr(value, "dtype") and not np.isscalar(value)):
         return value
     try:
-        return np.asarray(value, np.float64)
-    except (TypeError, ValueError):  # whoever knows its name says so
+        return _fixed(np.array(value, np.float64))
+    except (TypeError, ValueError, OverflowError):  # whoever knows its name says so
         return value
+
+
+def _fixed(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array
 
 
 def _number(default: float | None, unit: str, text: str, symbol: str, **row: Any) -> Any:

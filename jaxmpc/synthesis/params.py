@@ -1,6 +1,6 @@
 """What is tuned: the parameters of one controller, or of a batch of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,12 @@ import numpy as np
 
 from jaxmpc import described
 from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.toml import without_arrays
 from jaxmpc.quantities import FILTERS, HORIZONS, PARAMETERS, ParameterValues
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.published import SETS
 from jaxmpc.synthesis.structure import SHARED, STRUCTURE, Architecture, Delay, Order, check_knots, check_structure
-from jaxmpc.synthesis.values import BATCHES, batch_of, check_values, from_plain, rows_of, tables
+from jaxmpc.synthesis.values import BATCHES, batch_of, check_values, from_plain, is_number, rows_of, tables
 
 
 class Params(eqx.Module, ParameterValues):
@@ -53,8 +54,7 @@ class Params(eqx.Module, ParameterValues):
     def _check_numbers(self) -> None:
         for name in PARAMETERS:
             value = getattr(self, name)
-            truth = isinstance(value, bool) or getattr(value, "dtype", None) == np.bool_
-            if truth or isinstance(value, str | list | dict) or (value is None and name not in FILTERS):
+            if not is_number(value) or (value is None and name not in FILTERS):
                 raise InputError(name, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
         # Other leaves stand for numbers: shapes, axes to be mapped over, marks.
         arrays = self._arrays
@@ -114,7 +114,7 @@ class Params(eqx.Module, ParameterValues):
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> "Params":
-        """Parameters from plain values; unnamed ones are the text design's.
+        """Parameters from plain values, or numpy's and JAX's; unnamed ones are the text design's.
 
         A diagonal may be given up to H_u (λ) or H_p (δ) only: its last entry is repeated.
 
@@ -123,7 +123,7 @@ class Params(eqx.Module, ParameterValues):
         """
         known = [*PARAMETERS, *STRUCTURE, "knots"]
         given: dict[str, Any] = {}
-        for name, value in values.items():
+        for name, value in without_arrays(values).items():
             if name not in known:
                 raise InputError(name, value, "a known parameter", nearest(name, known))
             given[name] = from_plain(name, value) if name in PARAMETERS else value
@@ -172,37 +172,38 @@ class Params(eqx.Module, ParameterValues):
         return {**found, "listening": self.listening.to_dict(), "knots": knots}
 
     @staticmethod
-    def stack(batch: Sequence["Params"]) -> "Params":
+    def stack(batch: Iterable["Params"]) -> "Params":
         """One batch of several controllers of the same structure; scalars beside diagonals are widened.
 
         Raises:
-            InputError: The batch is empty, is no sequence of them, or mixes architectures, disturbance orders, own
+            InputError: The batch is empty, holds something else, or mixes architectures, disturbance orders, own
                 filters with none, or batches of several shapes.
         """
-        if isinstance(batch, Params) or not batch:
-            given = "one Params" if isinstance(batch, Params) else "empty"
+        stacked = [] if isinstance(batch, Params) else list(batch)
+        wrong = [each for each in stacked if not isinstance(each, Params)]
+        if wrong or not stacked:
+            given = "one Params" if isinstance(batch, Params) else wrong[0] if wrong else "empty"
             raise InputError("batch", given, "a list of Params", "Write Params.stack([first, second, …]).")
-        if len(shapes := sorted({p.batch_shape for p in batch})) > 1:
+        if len(shapes := sorted({p.batch_shape for p in stacked})) > 1:
             remedy = "Stack single controllers, or batches of one shape."
             raise InputError("batch", " beside ".join(map(str, shapes)), "of one shape", remedy)
         for name in STRUCTURE:
-            found = sorted({str(getattr(p, name)) for p in batch})
+            found = sorted({str(getattr(p, name)) for p in stacked})
             if len(found) != 1:
-                remedy = f"Evaluate each {name} by itself."
-                raise InputError(name, ", ".join(found) or "none", "one for the whole batch", remedy)
+                raise InputError(name, ", ".join(found), "one for the whole batch", f"Evaluate each {name} by itself.")
         columns = {}
         for name in PARAMETERS:
-            leaves = [getattr(p, name) for p in batch]
+            leaves = [getattr(p, name) for p in stacked]
             if all(leaf is None for leaf in leaves):
                 continue
             if any(leaf is None for leaf in leaves):
                 raise InputError(name, "given for some", "given for all or none", "Evaluate the others by themselves.")
-            traced = any(isinstance(leaf, jax.Array) for leaf in leaves)
-            shape = np.broadcast_shapes(*(leaf.shape for leaf in leaves))
-            xp: Any = jnp if traced else np
-            columns[name] = xp.stack([xp.broadcast_to(leaf, shape) for leaf in leaves])
-        knots = tuple(Params.stack(alike) for alike in zip(*(p.knots for p in batch), strict=True))
-        return Params(**columns, knots=knots, **batch[0].structure)
+            xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in leaves) else np
+            shape = max((leaf.shape for leaf in leaves), key=len)
+            wide = [leaf[..., None] if leaf.ndim < len(shape) else leaf for leaf in leaves]  # along each row's diagonal
+            columns[name] = xp.stack([xp.broadcast_to(leaf, shape) for leaf in wide])
+        knots = tuple(Params.stack(alike) for alike in zip(*(p.knots for p in stacked), strict=True))
+        return Params(**columns, knots=knots, **stacked[0].structure)
 
     def with_columns(self, columns: Mapping[str, Any]) -> "Params":
         """A batch of this one controller with some parameters replaced by columns of the same length.
@@ -237,7 +238,7 @@ class Params(eqx.Module, ParameterValues):
             raise InputError("params", "one controller", "a batch", BATCHES)
         rows_here = self.batch_shape[0]
         # JAX takes the last row instead, and iteration would never end.
-        if isinstance(row, int) and not -rows_here <= row < rows_here:
+        if isinstance(row, int | np.integer) and not -rows_here <= row < rows_here:
             raise IndexError(f"row {row} of a batch of {rows_here}")
         rows: Params = jax.tree.map(lambda leaf: leaf[row], self)
         return rows

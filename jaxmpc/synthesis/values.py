@@ -4,23 +4,35 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest, within
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 
 
+def is_number(value: Any) -> bool:
+    """Whether a value is a real number or an array of them, or stands for one: nothing, a shape, a mark."""
+    if (dtype := getattr(value, "dtype", None)) is None:
+        return not isinstance(value, bool | int | complex | str | bytes | list | dict)
+    return any(jnp.issubdtype(dtype, kind) for kind in (jnp.floating, jnp.integer))
+
+
 def rows_of(columns: Mapping[str, Any]) -> int:
     """Length that columns share.
 
     Raises:
-        InputError: There is none, a name is unknown, a column has another shape, or holds truth values.
+        InputError: There is none, a name is unknown, a column has another shape, or holds something else than numbers.
     """
     rows = 0
     for name, column in columns.items():
         if name not in PARAMETERS:
             raise InputError(name, "a column", "of a known parameter", nearest(name, list(PARAMETERS)))
-        if np.asarray(column).dtype == bool:
+        try:
+            numbers = is_number(np.asarray(column))
+        except ValueError:  # rows of several lengths
+            numbers = False
+        if not numbers:
             raise InputError(name, column, "numbers", f"Their unit is [{PARAMETERS[name].unit}].")
         shape, entries = np.shape(column), PARAMETERS[name].entries
         rows = rows or (shape[0] if shape else 0)
@@ -44,17 +56,21 @@ def tables(name: str, value: Any) -> Sequence[Mapping[str, Any]]:
 
 
 def from_plain(name: str, value: Any) -> np.ndarray:
-    """A number or a list of numbers, from a file."""
+    """A number or a list of numbers, as a file has them."""
     given = value if isinstance(value, list) else [value]
     if not given or any(isinstance(x, bool) or not isinstance(x, int | float) for x in given):
         raise InputError(name, value, "a number", f"Its unit is [{PARAMETERS[name].unit}].")
+    try:
+        numbers = np.asarray(value, np.float64)
+    except OverflowError:
+        raise InputError(name, value, "a number of at most 64 bits", "Write 1e30, say.") from None
     if not isinstance(value, list):
-        return np.asarray(value, np.float64)
+        return numbers
     entries = PARAMETERS[name].entries
     if len(value) > entries:
         length = f"a number or at most {entries} of them" if entries else "one number"
         raise InputError(name, f"{len(value)} numbers", length, "Only lam (along Hu) and delta (along Hp) take a list.")
-    return np.asarray(value + [value[-1]] * (entries - len(value)), np.float64)
+    return np.append(numbers, np.full(entries - len(value), numbers[-1]))
 
 
 BATCHES = "Make a batch with Params.stack or with_columns."

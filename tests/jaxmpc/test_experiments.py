@@ -217,7 +217,8 @@ def test_tables_that_are_built_in_python_are_of_their_kind(key: str, value: Any)
         (lambda: TissueSettings(changes=3), "tissue.changes"),
         (lambda: TissueSettings(changes=({"at": 1.0, "factor": 2.0},)), "tissue.changes"),
         (lambda: Experiment(stiffness=810.0), "stiffness"),
-        (lambda: Experiment(stiffness=np.array([375.0, 810.0])), "stiffness"),
+        (lambda: Experiment(stiffness=np.array(810.0)), "stiffness"),
+        (lambda: Experiment(stiffness=np.eye(2)), "stiffness"),
     ],
 )
 def test_values_of_a_table_that_are_of_another_type_are_told_by_their_key(build: Callable[[], Any], key: str) -> None:
