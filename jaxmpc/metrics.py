@@ -73,7 +73,7 @@ class Metrics(NamedTuple):
     """Largest change of it from one sample to the next while scored [N m]; the rest as for `clamped`."""
     swing: Float[Array, "..."]
     """True force above 12 Hz, RMS over the last 10 s of the run [N], see `jaxmpc.swing`; NaN unless `scenario_data` was
-    asked for it."""
+    asked for it, and of samples too far apart to hold it."""
 
     def __repr__(self) -> str:
         return described.as_text(*described.metrics(self))

@@ -6,10 +6,11 @@ the RMS of what it lets pass over the last 10 s of a run. Each of its two sectio
 
     h = (x − (r + g) s₁ − s₂) / (1 + r g + g²),   b = g h + s₁,   l = g b + s₂,   s₁' = b + g h,   s₂' = l + g b
 
-whose difference of large numbers, unlike that of a transfer function's coefficients, float32 can bear.
+whose difference of large numbers, unlike that of a transfer function's coefficients, float32 can bear. Samples further
+apart than 1/24 s hold nothing of 12 Hz: there nobody knows how the force swings, and all that is told of it is NaN.
 """
 
-from math import pi, sin
+from math import nan, pi, sin
 from typing import Any, NamedTuple
 
 CORNER_HZ = 12.0
@@ -36,10 +37,15 @@ Sections = tuple[tuple[Lane, Lane], ...]
 
 def high_pass(T_s: Lane, ops: Any) -> HighPass:
     """The filter for a sampling time [s]."""
-    half = pi * CORNER_HZ * T_s
-    g = ops.sin(half) / ops.cos(half)
+    g = _corner(T_s, ops)
     first, second = (1.0 / (1.0 + r * g + g * g) for r in DAMPINGS)
     return HighPass(g, (first, second))
+
+
+def _corner(T_s: Lane, ops: Any) -> Lane:
+    """tan(π f T_s) [-], NaN from where the corner is no frequency of the samples."""
+    half = pi * CORNER_HZ * T_s
+    return ops.where(half < 0.5 * pi, ops.sin(half) / ops.cos(half), nan)
 
 
 def rest(zero: Lane) -> Sections:
@@ -61,6 +67,6 @@ def step(constants: HighPass, state: Sections, force: Lane) -> tuple[Lane, Secti
 
 def gain(theta: Any, T_s: Lane, ops: Any) -> Any:
     """|H| = 1/√(1 + (g / tan ½θ)⁸) at angles 0 < θ < π [-]."""
-    half, corner = 0.5 * theta, pi * CORNER_HZ * T_s
-    ratio = ops.sin(corner) / ops.cos(corner) * ops.cos(half) / ops.sin(half)
+    half = 0.5 * theta
+    ratio = _corner(T_s, ops) * ops.cos(half) / ops.sin(half)
     return 1.0 / ops.sqrt(1.0 + ratio**8)

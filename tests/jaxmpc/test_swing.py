@@ -12,6 +12,7 @@ import scipy.signal
 from jaxmpc import Experiment, Params, design, evaluate, swing
 from jaxmpc.engine.scenario import scenario_data
 from jaxmpc.law.transmission import N1
+from jaxmpc.world.heart.motion import Motion
 from tests.jaxmpc.linear_loop import TEXT, step_by_step, world
 
 replace = msgspec.structs.replace
@@ -41,6 +42,25 @@ def test_its_gain_is_scipys() -> None:
     _, expected = scipy.signal.sosfreqz(SECTIONS, theta)
     np.testing.assert_allclose(swing.gain(theta, 1e-3, np), np.abs(expected), rtol=1e-9)
     assert float(swing.gain(2.0 * np.pi * 0.012, 1e-3, np)) == pytest.approx(np.sqrt(0.5))
+
+
+@pytest.mark.parametrize("T_s", [0.01, 0.041])
+def test_slow_samples_have_it_up_to_their_nyquist_frequency(T_s: float) -> None:
+    theta = np.linspace(0.1, 3.1, 20)
+    sections = scipy.signal.butter(4, swing.CORNER_HZ, "highpass", fs=1.0 / T_s, output="sos")
+    _, expected = scipy.signal.sosfreqz(sections, theta)
+    np.testing.assert_allclose(swing.gain(theta, T_s, np), np.abs(expected), rtol=1e-9)
+
+
+@pytest.mark.parametrize("T_s", [0.05, 0.09])
+def test_of_samples_that_hold_nothing_of_12_hz_nobody_knows_it(T_s: float) -> None:
+    """Of samples 90 ms apart the filter let pass all that was below 5 Hz."""
+    slow = Params(T_cl=2.0 * T_s, Q_p=0.01, K2=0.05 / T_s, Hp=10)
+    still = Experiment(sampling_time=T_s, stiffness=(810.0,), duration=8.0, motion=Motion(scale=0.1))
+    found = evaluate(slow, still).metrics
+    assert np.isnan(found.swing).all()
+    assert np.all(np.asarray(found.rms) > 0.1)
+    assert np.isnan(swing.gain(1.0, T_s, np))
 
 
 @pytest.mark.parametrize("duration", [12.05, 4.0])
