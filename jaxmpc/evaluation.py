@@ -18,7 +18,7 @@ from jaxmpc.stability import Margins
 from jaxmpc.stability.loop import contacts_between
 from jaxmpc.synthesis import designed
 from jaxmpc.synthesis.params import Params
-from jaxmpc.synthesis.values import MAKE_PARAMS
+from jaxmpc.synthesis.values import MAKE_PARAMS, check_filled
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.precision import in_float64
 from jaxmpc.xla.rows import reshaped, traced
@@ -62,7 +62,7 @@ def evaluate(
         Metrics and margins per stiffness (and axis); see `Outcome`.
 
     Raises:
-        InputError: The physics or precision is unknown, or an argument is of another type.
+        InputError: The physics or precision is unknown, an argument of another type, or the batch empty.
     """
     check_type("params", params, Params, MAKE_PARAMS)
     remedy = 'Make one with Experiment.published("table-1"), Experiment.from_toml(FILE) or Experiment(…).'
@@ -71,7 +71,7 @@ def evaluate(
     for key, value, kind in (("physics", experiment.physics, Physics), ("precision", precision, Precision)):
         if value not in get_args(kind):
             raise InputError(key, value, "a known one", nearest(str(value), list(get_args(kind))))
-    batch = params.batch_shape
+    check_filled(batch := params.batch_shape)
     flat = reshaped(params, len(batch), -1)
     scene, world = scenario_data(experiment, swinging=True), program_spec(experiment)
     gains, residual = designed(flat, scene.path.T_s, scene.path.force_filter)

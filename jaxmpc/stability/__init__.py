@@ -22,7 +22,7 @@ from jaxmpc.stability.response import loop_around
 from jaxmpc.status import Status
 from jaxmpc.synthesis import designed
 from jaxmpc.synthesis.params import Params
-from jaxmpc.synthesis.values import MAKE_PARAMS
+from jaxmpc.synthesis.values import MAKE_PARAMS, check_filled
 from jaxmpc.world.contact import Contact
 from jaxmpc.world.loop_path import LoopPath, loop_path
 from jaxmpc.xla.blocks import padded
@@ -213,8 +213,7 @@ def margins(
         given = f"{delay} beside a path" if delay != 1 else "True beside a path"
         remedy = "The path has its own: take `Experiment.loop_path(ideal)` of an experiment with that delay."
         raise InputError("delay" if delay != 1 else "ideal", given, "left out", remedy)
-    if 0 in params.batch_shape:
-        raise InputError("params", "an empty batch", "at least one controller", "Take rows that are there.")
+    check_filled(params.batch_shape)
     flat = reshaped(params, len(params.batch_shape), -1)
     gains, residual = designed(flat, path.T_s, path.force_filter)
     path = path.with_cutoff(flat.velocity_cutoff)

@@ -101,6 +101,16 @@ def batch_of(values: Mapping[str, Any]) -> tuple[int, ...]:
     return batch
 
 
+def check_filled(batch: tuple[int, ...]) -> None:
+    """Refuse a batch of this shape that holds no controller.
+
+    Raises:
+        InputError: It holds none.
+    """
+    if 0 in batch:
+        raise InputError("params", "an empty batch", "at least one controller", "Take rows that are there.")
+
+
 def least_horizon(architecture: str) -> int:
     """Shortest H_p within which a command does something [samples]; MPC alone predicts its delay, too."""
     return 2 if architecture == "mpc" else 1

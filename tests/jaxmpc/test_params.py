@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmpc import Experiment, InputError, Params, Status, design, margins
+from jaxmpc import Experiment, InputError, Params, Status, design, evaluate, margins
 from jaxmpc.quantities import HP_MAX
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.synthesis.timing import Timing
@@ -145,6 +145,7 @@ def test_shapes_and_other_marks_may_stand_for_numbers() -> None:
         (lambda: margins(Params(), True), "stiffness = True: must be a number"),
         (lambda: margins(Params(), "810"), "stiffness = 810: must be a number"),
         (lambda: margins(BATCH[2:], 810.0), "params = an empty batch: must be at least one controller"),
+        (lambda: evaluate(BATCH[2:], Experiment()), "params = an empty batch: must be at least one controller"),
         (lambda: Params.stack([BATCH, Params.stack([Params()] * 3)]), "must be of one shape"),
     ],
 )
