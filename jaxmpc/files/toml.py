@@ -69,7 +69,10 @@ def without_arrays(data: Any) -> Any:
         return {key: without_arrays(value) for key, value in data.items()}
     if isinstance(data, list | tuple):
         return [without_arrays(value) for value in data]
-    return data.tolist() if hasattr(data, "tolist") else data
+    try:
+        return data.tolist() if hasattr(data, "tolist") else data
+    except TypeError:  # what JAX traces has no value yet
+        return data
 
 
 def plain_data(built: msgspec.Struct) -> Any:

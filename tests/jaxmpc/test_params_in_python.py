@@ -53,6 +53,12 @@ def test_what_is_no_real_number_is_told_by_its_name(value: Any) -> None:
             build()
 
 
+def test_what_is_traced_has_no_value_that_plain_data_could_be() -> None:
+    with pytest.raises(InputError, match=r"^lam = .*: must be a number"):
+        jax.jit(lambda lam: Params.from_dict({"lam": lam}).lam)(0.1)
+    assert jax.jit(lambda lam: Params(lam=lam).lam)(0.1) == np.float32(0.1)
+
+
 @pytest.mark.parametrize("column", [["a", "b"], ["1", "2"], [1j, 2j], [[0.1], [0.2, 0.3]], [None, 1.0]])
 def test_a_column_of_something_else_is_told_by_its_name(column: Any) -> None:
     with pytest.raises(InputError, match=r"^lam = .*: must be numbers"):
