@@ -75,12 +75,15 @@ def by_mujoco(artifact: Any, rows: Rows) -> Callable[[int], Any]:
     cascades = mujoco_loop.Cascade(mujoco_loop.Gains.of(gains, artifact.K2))
     cascades.state[0] = cascades.state[5] = rows[0][1]
     pole, posture = math.exp(-artifact.loop.velocity_cutoff * artifact.T_s), np.array(arm.posture)
+    weights = np.array(artifact.gains.mpc_ref) / sum(artifact.gains.mpc_ref)
     inputs = [tuple(map(np.array, row)) for row in rows]
     last, velocity = inputs[0][0], np.zeros(4)
 
     def tick(k: int) -> Any:
         nonlocal last, velocity
         q, force, wanted = inputs[k]
+        if artifact.preview:  # the constant that weighs as much as what is known ahead
+            wanted = wanted[:, 1:] @ weights
         raw = (q - last) / artifact.T_s
         last, velocity = q, raw + pole * (velocity - raw)
         v = cascades.step(force, wanted)

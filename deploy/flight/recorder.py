@@ -41,6 +41,7 @@ are what the law was given (a force that it had to do without is NaN); `torque` 
 ROBOT: Mapping[str, tuple[int, str]] = {
     "qd": (4, "rad/s"),
     "gain_memory": (2, "-"),
+    "deflection": (4, "-"),
     "wanted": (4, "N m"),
     "applied": (4, "N m"),
     "state": (1, ""),
@@ -52,7 +53,8 @@ ROBOT: Mapping[str, tuple[int, str]] = {
     "lateness": (1, "s"),
     "compute": (1, "s"),
 }
-"""Signals that only a robot has: `gain_memory` is the ceiling of `gain` and where it was lately; `wanted` is the law's
+"""Signals that only a robot has: `gain_memory` is the ceiling of `gain` and where it was lately; `deflection`, which
+older recordings lack, that of the bristles of the friction that is cancelled, zero without; `wanted` is the law's
 torque, `applied` what the clamps left of it and the observers were told; `state`, `reason` and `clamped` are the
 numbers that the header's `names` spell out."""
 COLUMNS = {**SIMULATED, **ROBOT}

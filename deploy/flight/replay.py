@@ -43,8 +43,11 @@ in it. Half of that brings the paper's text controller within 1e-12. With less g
 counts as much as the gain that a guard leaves. The gain itself would take minutes: it is taken from the recording until
 then. What a schedule believes of the tissue goes back to the contact: a flight with one is not replayed from later
 on."""
-FILTER = 0.3
-"""Left out after a missing position [s], in which the velocity's low-pass forgets."""
+FILTER, FORGOTTEN = 0.3, 25.0
+"""Left out after a missing position or cycle, in which the velocity's low-pass forgets: so long [s], or so many of its
+time constants where that is longer. They leave 1e-11 of a difference."""
+MISSED = 1.999
+"""Periods from a sample to the next that are no longer one: the loop counts 2 as a cycle missed [-]."""
 LARGEST = 1e60
 """No input is larger, whatever its unit: of such ones products leave the finite numbers, at which Python raises."""
 SERVO = ("armed", "approach", "retract", "stopped")
@@ -107,8 +110,9 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
         raise RecordingError("it is in states that its header does not name")
     if not np.all(np.diff(signals["time"][:, 0], prepend=-math.inf) > 0.0):
         raise RecordingError("its times do not rise")
-    for name in INPUTS:
-        if np.any(np.isfinite(signals[name]) & (np.abs(signals[name]) > LARGEST)):
+    for name in (*INPUTS, "deflection"):
+        given = signals.get(name, np.zeros(1))
+        if np.any(np.isfinite(given) & (np.abs(given) > LARGEST)):
             raise RecordingError(f"its signal {name} is beyond what a robot has, {LARGEST:g}")
     contact = number == states.index("contact")
     before = np.concatenate([[False], contact[:-1]])
@@ -118,6 +122,8 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
     judged = np.ones(len(time), bool)
     gain = signals["gain"]
     seen = np.cumsum(np.where(gain > 0.0, gain, 1.0)) * artifact.T_s
+    cutoff = artifact.loop.velocity_cutoff
+    forgets = max(FILTER, FORGOTTEN / cutoff) if cutoff else FILTER
     if np.any(contact & (time < time[:1] + FILTER)):
         if scheduled:
             lacks = (
@@ -130,18 +136,22 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
         force_ref, whole = _windows(force_ref, contact, 1 + len(artifact.gains.mpc_ref))
         judged &= whole
     q = signals["q"]
-    lost = np.flatnonzero(np.any(signals["position_age"] > 0.0, axis=1) | ~np.all(np.isfinite(q), axis=1))
+    unknown = np.any(signals["position_age"] > 0.0, axis=1) | ~np.all(np.isfinite(q), axis=1)
+    lost = np.flatnonzero(unknown | (np.diff(time, prepend=time[:1]) > MISSED * artifact.T_s))
     last_lost = np.full(len(time), time[0])
     if len(lost):
         row = np.searchsorted(lost, np.arange(len(time)), side="right") - 1
         last_lost = np.where(row >= 0, np.maximum(time[lost[np.maximum(row, 0)]], last_lost), last_lost)
-    fresh = time > last_lost + FILTER
+    fresh = time > last_lost + forgets
     servo = np.isin(number, [i for i, name in enumerate(states) if name in SERVO]) & np.all(
         np.isfinite(signals["a"]), axis=1
     )
     memory = np.full((len(time), 3), np.nan)
     if guarded:
         memory = np.concatenate([gain, signals["gain_memory"]], axis=1)
+    deflection = np.full((len(time), 4), np.nan)
+    if artifact.arm is not None and artifact.arm.compensated and "deflection" in signals:
+        deflection[0] = signals["deflection"][0]  # how it came about was before
     return RecordedInputs(
         time=time,
         q=q,
@@ -153,6 +163,7 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
         contact=contact,
         enters=enters,
         servo=servo,
+        deflection=deflection,
         judged=judged,
         fresh=fresh,
         memory=np.where(~judged[:, None] & (memory > 0.0), memory, np.nan),
@@ -176,7 +187,7 @@ def through_runtime(inputs: RecordedInputs, artifact: Artifact) -> dict[str, np.
             if inputs.enters[k] and np.all(np.isfinite(inputs.a[k - 1])):
                 runtime.last_a = tuple(inputs.a[k - 1].tolist())
             if inputs.enters[k] or k == 0:
-                runtime.enter(force or (0.0, 0.0, 0.0), angles)
+                runtime.enter(force or (0.0, 0.0, 0.0), angles, qd)
             wanted = tuple(map(tuple, inputs.force_ref[k].tolist())) if inputs.force_ref.ndim == 3 else None
             found["wanted"][k] = runtime.control(angles, qd, force, wanted or tuple(inputs.force_ref[k].tolist()))
             found["v"][k], found["a"][k] = runtime.last_v, runtime.last_a
@@ -189,6 +200,8 @@ def through_runtime(inputs: RecordedInputs, artifact: Artifact) -> dict[str, np.
         elif inputs.servo[k]:
             a = tuple(inputs.a[k].tolist())
             found["wanted"][k] = runtime.servo(angles, qd, a, force or (0.0, 0.0, 0.0))
+        if np.all(np.isfinite(inputs.deflection[k])):
+            runtime.deflection = tuple(inputs.deflection[k].tolist())
     return found
 
 
@@ -210,6 +223,8 @@ def compare(
         where = inputs.fresh if signal == "qd" else inputs.judged & (inputs.contact | inputs.servo)
         if signal in LAW:
             where = where & inputs.contact
+        if signal == "wanted":
+            where = where & np.any(np.isnan(inputs.deflection), axis=1)
         where = where & np.all(np.isfinite(again), axis=1)
         recorded, time = recording.signals[signal][where], inputs.time[where]
         if not len(recorded):

@@ -236,6 +236,7 @@ class Loop:
             *self._cycle.checker.torque,
             *result.qd,
             *runtime.memory[1:],
+            *runtime.deflection,
             *result.wanted,
             *result.applied,
             STATES.index(result.safety_state.state),

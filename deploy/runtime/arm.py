@@ -92,12 +92,17 @@ class ArmRuntime:
         self._measured = self._measure(self._measured, q)
         return self._measured[1]
 
-    def enter(self, force: Vector3, q: Vector4) -> None:
-        """Contact is made: observers at the measured force [N] and angles [rad], full gain, and bumpless.
+    def enter(self, force: Vector3, q: Vector4, qd: Vector4 | None = None) -> None:
+        """Contact is made: observers at the measured force, full gain, and bumpless.
 
         While the wanted force is the measured one, `control` begins with the same a that was asked for so far.
+
+        Args:
+            force: Measured force on the tissue [N].
+            q: Measured joint angles [rad].
+            qd: Joint velocities [rad/s]; None for what `velocity` gave last.
         """
-        self._held[0], self._applied = self._enter((q, self._measured[1]), force, self.last_a)
+        self._held[0], self._applied = self._enter((q, qd or self._measured[1]), force, self.last_a)
         self.last_v, self._change = self._applied, _FOUR
 
     def control(self, q: Vector4, qd: Vector4, force: Vector3 | None, force_ref: Any) -> Vector4:
@@ -187,6 +192,17 @@ class ArmRuntime:
             return _THREE
         x, y, z = (lag(schedule.identification, *sine(self._memory)) for sine in self._sines)
         return x, y, z
+
+    @property
+    def deflection(self) -> Vector4:
+        """Deflection of the bristles of the friction that is cancelled, over its largest [-]; 0 where none is."""
+        return self._bristles[0] if self._compensated else _FOUR
+
+    @deflection.setter
+    def deflection(self, deflection: Vector4) -> None:
+        """Only for a replay, at the last measured angles; nothing changes where no friction is cancelled."""
+        if self._compensated:
+            self._bristles = deflection, self._measured[0]
 
     @property
     def gain(self) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxmpc.law import entry, force_control, friction_compensation, identification
 from jaxmpc.law.force_control import Controller, ControllerState
+from jaxmpc.law.friction_compensation import Bristles
 from jaxmpc.law.gain_backoff import BackoffMemory
 from jaxmpc.law.measurement import MeasurementState
 from jaxmpc.law.recorded import RecordedInputs
@@ -55,6 +56,10 @@ def replay_law(controller: Controller, compensated: bool, flown: RecordedInputs)
             moved, _ = friction_compensation.step(controller.nominal.friction, state.bristles, q, qd, ops)
             state = state._replace(bristles=_chosen(now["servo"], moved, state.bristles))
         state = _chosen(now["contact"], force_control.applied(following, command, applied), state)
+        if state.bristles is not None:
+            known = jnp.all(jnp.isfinite(now["deflection"]))
+            bristles = _chosen(known, Bristles(tuple(now["deflection"]), q), state.bristles)
+            state = state._replace(bristles=bristles)
         return state, {name: jnp.stack(values) for name, values in sample.items()}
 
     if not np.any(flown.contact):
@@ -63,7 +68,7 @@ def replay_law(controller: Controller, compensated: bool, flown: RecordedInputs)
     rows = {name: np.nan_to_num(getattr(flown, name)) for name in ("q", "qd", "force_ref", "applied", "a")}
     rows["a_before"] = np.concatenate([np.zeros((1, 3)), rows.pop("a")[:-1]])
     rows["force_ref"] = rows["force_ref"].reshape(len(flown.time), 3, -1)
-    rows |= {name: getattr(flown, name) for name in ("force", "contact", "enters", "servo", "memory")}
+    rows |= {name: getattr(flown, name) for name in ("force", "contact", "enters", "servo", "memory", "deflection")}
     start = force_control.init(controller, tuple(rows["q"][0]), tuple(np.nan_to_num(flown.force[0])), compensated)
     start = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), start)
     _, signals = jax.jit(lambda start, rows: jax.lax.scan(one, start, rows))(start, rows)

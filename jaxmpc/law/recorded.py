@@ -29,6 +29,9 @@ class RecordedInputs(NamedTuple):
     memory: Any
     """What a guard remembered after the sample, gain first, where it is taken from the recording, NaN where it is found
     (n, 3) [-]."""
+    deflection: Any
+    """Deflection of the friction's bristles after the sample, where it is taken from the recording, NaN where it is
+    found (n, 4) [-]."""
     judged: Any
     """Whether the law's outputs can be told from the recording (n,)."""
     fresh: Any

@@ -1,9 +1,11 @@
 """Flights made by the runtime itself, recorded, and replayed through it and through the traced law."""
 
 import hashlib
+import re
 import shutil
 from argparse import ArgumentParser
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,10 +28,10 @@ STIFFNESS = 80.0
 NAN = (float("nan"),) * 3
 
 
-def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, lost=(500, 501)):
+def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, lost=(500, 501), missed=()):
     """A recorder after a run: angles that sway, a force with noise, samples lost, torques clamped now and then.
 
-    `change(k, runtime)` may meddle with the controller at a sample.
+    `change(k, runtime)` may meddle with the controller at a sample; missed cycles move the velocity alone.
     """
     runtime, recorder = arm_runtime(artifact), FlightRecorder(seconds=seconds)
     swing = made.SWING if artifact.gains.guard else 0.0
@@ -44,6 +46,8 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
         ref = tuple(map(tuple, wanted_all[k])) if artifact.preview else tuple(axis[0] for axis in wanted_all[k])
         first = tuple(axis[0] for axis in wanted_all[k])
         qd = runtime.velocity(q)
+        if k in missed:
+            continue
         if change:
             change(k, runtime)
         if contact[0] <= k < contact[1]:
@@ -59,7 +63,7 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
             wanted = applied = runtime.servo(q, qd, (0.1, 0.0, -0.2), force)
         row = (1e-3 * k, *(given or NAN), *first, *runtime.u, *runtime.last_v, *runtime.last_a, *runtime.p_hat)
         row += (runtime.gain, *runtime.stiffness, *runtime.authority, *runtime.dither)
-        row += (*runtime.tip(q), *q, *applied, *qd, *runtime.memory[1:])
+        row += (*runtime.tip(q), *q, *applied, *qd, *runtime.memory[1:], *runtime.deflection)
         row += (*wanted, *applied, state, *(0,) * 13)
         recorder.append(row)
     return recorder
@@ -117,8 +121,43 @@ def test_a_flight_is_replayed_by_the_runtime_to_the_last_bit(other_flight):
     assert (np.max(np.abs(recording.signals["dither"])) > 0.1) == (artifact.gains.schedule is not None)
     known = 1000 - (64 if artifact.preview else 0)  # the last wanted forces lie beyond the contact
     assert rows["v"].samples == known
-    assert rows["wanted"].samples == known + 500
+    assert rows["wanted"].samples == known + 500 - artifact.arm.compensated  # where its friction begins
     assert rows["qd"].samples == 1500 - 301
+
+
+def replayed(artifact, recorder, folder):
+    """How the runtime differs from what flew, by signal."""
+    recorder.write(folder / "flight.npz", {"artifact": "", "T_s": made.T_S, "names": NAMES})
+    recording = read(folder / "flight.npz")
+    inputs = inputs_of(recording, artifact, "")
+    return {row.signal: row for row in compare(recording, inputs, through_runtime(inputs, artifact))}
+
+
+def test_cycles_that_were_missed_are_no_difference(tmp_path):
+    rows = replayed(made.arm_artifact(), fly(made.arm_artifact(), missed=(297, 1000)), tmp_path)
+    assert {row.largest for row in rows.values()} == {0.0}
+    assert rows["v"].samples == 999
+    assert rows["qd"].samples == pytest.approx(1000 - 598 + 1500 - 1301, abs=2)  # 0.3 s, but for rounding
+
+
+@pytest.mark.parametrize("cutoff", [30.0, 180.0])
+def test_velocities_are_judged_once_their_filter_has_forgotten_what_was_before_the_recording(tmp_path, cutoff):
+    artifact = made.arm_artifact()
+    artifact = replace(artifact, loop=artifact.loop._replace(velocity_cutoff=cutoff))
+    rows = replayed(artifact, fly(artifact, samples=3000, contact=(2600, 2800), seconds=2.0), tmp_path)
+    assert not any(row.parts for row in rows.values())
+    assert rows["qd"].samples == {30.0: 2000 - 834, 180.0: 2000 - 301}[cutoff]
+    assert rows["qd"].largest < 1e-11
+
+
+@pytest.mark.oracle
+def test_friction_is_cancelled_again_as_it_was_where_the_recording_begins_later_than_the_flight(tmp_path, capsys):
+    controller = tmp_path / "controller.npz"
+    controller.write_bytes(to_bytes(made.arm_artifact(compensated=True)))
+    write(tmp_path / "flight.npz", controller, fly(load(controller), contact=(1200, 1400), seconds=0.8))
+    assert np.max(np.abs(read(tmp_path / "flight.npz").signals["deflection"][0])) > 0.5
+    assert replay(tmp_path / "flight.npz", "--artifact", controller) == 0
+    assert re.search(r"wanted +799 ", capsys.readouterr().out)
 
 
 @pytest.mark.oracle
@@ -285,6 +324,7 @@ def test_recordings_that_lack_something_are_refused(flight, tmp_path, header, co
         ("state", 99.0, "states that its header does not name"),
         ("force", 1e308, "force is beyond"),
         ("q", -1e200, "q is beyond"),
+        ("deflection", 1e200, "deflection is beyond"),
     ],
 )
 def test_numbers_that_are_none_of_a_flight_are_refused(flight, tmp_path, signal, value, text):
