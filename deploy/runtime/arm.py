@@ -18,6 +18,7 @@ from deploy.runtime.force_lag import lag
 from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law import force_control
 from jaxmpc.law.force_control import Controller
+from jaxmpc.law.friction_compensation import Bristles
 from jaxmpc.law.vectors import Vector3, Vector4
 
 _FOUR: Vector4 = (0.0, 0.0, 0.0, 0.0)
@@ -196,13 +197,13 @@ class ArmRuntime:
     @property
     def deflection(self) -> Vector4:
         """Deflection of the bristles of the friction that is cancelled, over its largest [-]; 0 where none is."""
-        return self._bristles[0] if self._compensated else _FOUR
+        return _FOUR if self._bristles is None else self._bristles[0]
 
     @deflection.setter
     def deflection(self, deflection: Vector4) -> None:
         """Only for a replay, at the last measured angles; nothing changes where no friction is cancelled."""
         if self._compensated:
-            self._bristles = deflection, self._measured[0]
+            self._bristles = Bristles(deflection, self._measured[0])
 
     @property
     def gain(self) -> float:
