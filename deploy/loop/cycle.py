@@ -116,7 +116,7 @@ class Cycle:
         pucks = arm.pucks
         self.arm, self.controller, self.limits = arm, controller, limits
         self.safety_state = SafetyState()
-        self.checker = Checker(limits, T_s, pucks.ipnm, (1, 2, 3, 4), tool_length)
+        self.checker = Checker(limits, T_s, pucks.ipnm, (1, 2, 3, 4), tool_length, pucks.number("T"))
         self._bounds = bounds(limits, T_s, pucks.ipnm)
         self._turns, self._hook, self._T_s, self._tip_kinematics = turns, hook, T_s, tip_kinematics
         self._posture = posture

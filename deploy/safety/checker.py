@@ -16,7 +16,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.law.vectors import Vector3, Vector4
 
 PACKED, TORQUE, WIDTH = 0x401, 42, 14
-"""Identifier of the packed torque, its property, bits of a value (wam.md §3.1–3.3)."""
+"""Identifier of the packed torque, its property in newer firmware, bits of a value (wam.md §3.1–3.3)."""
 CONTROL_AGE, HOLD_AGE = 2, 20
 """Oldest positions on which to control, and on which to hold the arm [cycles]."""
 MODE, FORCE_TARE = 8, 54
@@ -43,7 +43,13 @@ class Checker:
     """
 
     def __init__(
-        self, limits: Limits, T_s: float, ipnm: Sequence[float], pidx: Sequence[int], tool_length: float
+        self,
+        limits: Limits,
+        T_s: float,
+        ipnm: Sequence[float],
+        pidx: Sequence[int],
+        tool_length: float,
+        torque_property: int = TORQUE,
     ) -> None:
         """Check what the pucks said, once before motion.
 
@@ -53,6 +59,7 @@ class Checker:
             ipnm: Units per motor torque of motors 1–4, as read (4,) [1/(N m)].
             pidx: Place of motors 1–4 in the frame, from 1, as read (4,).
             tool_length: From the elbow's frame to the tip [m].
+            torque_property: By which the pucks' firmware knows torque; older ones have another.
 
         Raises:
             InputError: Pucks that answer so are set up wrongly, or there is no such rate or tool.
@@ -70,6 +77,7 @@ class Checker:
         self._shift = tuple(WIDTH * (4 - place) for place in pidx)
         self._step = tuple(rate * T_s for rate in limits.torque_rate)
         self._motion = kinematics(tool_length)
+        self._first = 0x80 | torque_property
 
     def check(
         self,
@@ -113,7 +121,7 @@ class Checker:
 
     def _decoded(self, frame: Frame) -> Vector4 | None:
         """Motor torques 1–4 of a packed torque [N m]; None if it is none."""
-        if frame.id != PACKED or len(frame.data) != 8 or frame.data[0] != 0x80 | TORQUE:
+        if frame.id != PACKED or len(frame.data) != 8 or frame.data[0] != self._first:
             return None
         bits = int.from_bytes(frame.data[1:], "big")
         motors = []

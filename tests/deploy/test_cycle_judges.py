@@ -28,8 +28,8 @@ GO, PUNCTUAL = OperatorCommand(True, True), CycleTiming()
 class Standing:
     """A cycle on an arm that stands, in a state from which a test begins."""
 
-    def __init__(self, artifact, runtime, state, posture, turns):
-        wire, pucks = Wire(), Pucks(tuple(PuckInfo(n, n, 150, 0, 4096, 2700, 4860) for n in (1, 2, 3, 4)))
+    def __init__(self, artifact, runtime, state, posture, turns, version):
+        wire, pucks = Wire(), Pucks(tuple(PuckInfo(n, n, version, 0, 4096, 2700, 4860) for n in (1, 2, 3, 4)))
         self.counts = pucks.counts(posture)
         arm = WamArm(Bus(wire, wire.now), pucks, Mounted(CanSensor()), self.counts, 197)
         controller = TaskController(runtime, ConstantForce((0.0, 0.0, -5.0)), T_S, Contacting())
@@ -54,10 +54,18 @@ def runtime(arm_artifact):
 
 @pytest.fixture
 def standing(arm_artifact, runtime):
-    def stand(state=OperatingState.APPROACH, posture=POSTURE, turns=False):
-        return Standing(arm_artifact, runtime, state, posture, turns)
+    def stand(state=OperatingState.APPROACH, posture=POSTURE, turns=False, version=150):
+        return Standing(arm_artifact, runtime, state, posture, turns, version)
 
     return stand
+
+
+@pytest.mark.parametrize(("version", "number"), [(40, 10), (50, 9), (61, 42), (150, 42)])
+def test_torques_are_driven_by_the_number_that_the_pucks_know_them_by(standing, version, number):
+    result = standing(version=version)()
+    assert ends(result) == (OperatingState.APPROACH, Reason.NONE)
+    assert result.frame.data[0] == 0x80 | number
+    assert any(result.applied)
 
 
 def ends(result):

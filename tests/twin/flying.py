@@ -84,7 +84,7 @@ def fly(
     reference: str = "0,0,-5@2",
     limits: Limits | None = None,
     tare: bool = False,
-    record: float = 60.0,
+    record: float = 50.0,
     **settings: Any,
 ) -> Flight:
     """Start, approach, hold the force for some seconds [s], retract.
