@@ -1,5 +1,8 @@
 """Ctrl-C and SIGTERM: the first asks, the second lets go, and after it the process ends whatever hangs.
 
+A terminal that is closed, as by a connection that breaks, asks too. It may say so twice, by the shell and by the kernel:
+that lets nothing go. Who had it ignored before, by nohup, flies on.
+
 What ends it then is SIGALRM with the system's own action: no lock, no disk and no loop of this program can hold it up.
 The watchdog sees the pipe close, as with any other death of the controller.
 """
@@ -10,7 +13,7 @@ from typing import Any
 
 GRACE = 1.0
 """Time after the second signal in which the arm is let go and the recording written [s]; then the process ends."""
-ENDING = (signal.SIGINT, signal.SIGTERM)
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class EndingSignals:
@@ -32,7 +35,8 @@ class EndingSignals:
 
     def __enter__(self) -> "EndingSignals":
         for number in ENDING:
-            self._before[number] = signal.signal(number, self._heard)
+            if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._heard)
         return self
 
     def __exit__(
@@ -43,6 +47,8 @@ class EndingSignals:
             signal.signal(number, handler)
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP and self.count:
+            return
         self.count += 1
         if self.count == 2:
             signal.signal(signal.SIGALRM, signal.SIG_DFL)

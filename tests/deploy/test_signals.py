@@ -65,3 +65,29 @@ def test_in_the_loop_signals_are_counted_and_afterwards_all_is_as_before():
         assert signal.getitimer(signal.ITIMER_REAL)[0] > 0.0
     assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_a_terminal_that_is_closed_asks_and_lets_nothing_go_however_often_it_is_told():
+    with EndingSignals() as signals:
+        signals.begin()
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)
+        assert signals.count == 1
+        assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGHUP)
+        assert signals.count == 2
+    with pytest.raises(KeyboardInterrupt), EndingSignals():
+        signal.raise_signal(signal.SIGHUP)
+
+
+def test_under_nohup_a_closed_terminal_is_none_of_its_business():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with EndingSignals() as signals:
+            signals.begin()
+            signal.raise_signal(signal.SIGHUP)
+            assert signals.count == 0
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
