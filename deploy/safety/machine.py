@@ -184,7 +184,12 @@ def _next(now: SafetyState, observed: Observations) -> tuple[OperatingState, Rea
         ready = observed.armed and observed.position_age == 0
         return (OperatingState.ARMED if ready else state), reason
     if state is OperatingState.ARMED:
-        return (OperatingState.APPROACH, reason) if observed.active and observed.start else (state, reason)
+        if not (observed.active and observed.start):
+            return state, reason
+        if not observed.touching:
+            return OperatingState.APPROACH, reason
+        # Taken for the tissue, a wrong zero would have the law look for it, in the air and as fast as it may.
+        return (OperatingState.STOPPED, Reason.TARE) if now.contact_cycles + 1 >= CONTACT_CYCLES else (state, reason)
     if state in (OperatingState.APPROACH, OperatingState.CONTACT) and leave is not Reason.NONE:
         return OperatingState.RETRACT, leave
     if state is OperatingState.APPROACH:

@@ -29,6 +29,7 @@ class Reason(StrEnum):
     ENCODER_STUCK = "encoder-stuck"
     ENCODER_RANGE = "encoder-range"
     # The force.
+    TARE = "tare"
     FORCE = "force"
     FORCE_LOST = "force-lost"
     FORCE_NOT_FINITE = "force-not-finite"
@@ -100,6 +101,7 @@ EXPLANATION: Mapping[Reason, str] = {
     Reason.ENCODER_JUMP: "An encoder moved farther in a cycle than a motor can.",
     Reason.ENCODER_STUCK: "An encoder stood still at once while its motor was moving.",
     Reason.ENCODER_RANGE: "An encoder reads an angle beyond the joint's mechanical stop.",
+    Reason.TARE: "The force sensor told a contact before the approach: its zero is off, or something touches the tool.",
     Reason.FORCE: "The force on the tissue was above its limit.",
     Reason.FORCE_LOST: "The force sensor did not answer.",
     Reason.FORCE_NOT_FINITE: "The measured force was not a finite number.",

@@ -114,6 +114,19 @@ def test_nothing_begins_without_the_operator_the_pendant_and_every_position():
     assert step(armed, READY._replace(start=False)).state is OperatingState.ARMED
 
 
+def test_no_approach_begins_with_what_reads_as_a_contact():
+    armed, touching = SafetyState(OperatingState.ARMED), READY._replace(touching=True)
+    for count in range(1, CONTACT_CYCLES):
+        assert walk(*[touching] * count, start=armed).state is OperatingState.ARMED
+        assert walk(*[touching] * count, READY, start=armed).state is OperatingState.APPROACH
+    now = walk(*[touching] * CONTACT_CYCLES, start=armed)
+    assert (now.state, now.reason) == (OperatingState.STOPPED, Reason.TARE)
+    # Before, the arm may be carried by its tool.
+    carried = walk(*[touching._replace(start=False)] * 50, start=armed)
+    assert step(carried, READY).state is OperatingState.APPROACH
+    assert step(carried, touching).reason is Reason.TARE
+
+
 @pytest.mark.parametrize(
     "state",
     [
@@ -260,8 +273,8 @@ def test_every_other_reason_lets_the_arm_go():
         *(Reason.NONE, Reason.POSITION_OLD, Reason.POSTURE, Reason.JOINT_RANGE, Reason.JOINT_VELOCITY),
         *(Reason.TIP_VELOCITY, Reason.ELBOW_VELOCITY, Reason.WORKSPACE, Reason.SINGULARITY),
         *(Reason.ENCODER_JUMP, Reason.ENCODER_STUCK, Reason.ENCODER_RANGE),
-        *(Reason.FORCE, Reason.FORCE_LOST, Reason.FORCE_NOT_FINITE, Reason.FORCE_RANGE, Reason.FORCE_JUMP),
-        *(Reason.FORCE_STUCK, Reason.FORCE_SLOW, Reason.FORCE_MODEL, Reason.LATE),
+        *(Reason.TARE, Reason.FORCE, Reason.FORCE_LOST, Reason.FORCE_NOT_FINITE, Reason.FORCE_RANGE),
+        *(Reason.FORCE_JUMP, Reason.FORCE_STUCK, Reason.FORCE_SLOW, Reason.FORCE_MODEL, Reason.LATE),
         *(Reason.NOT_STARTED, Reason.NO_CONTACT, Reason.OVERSHOOT, Reason.OPERATOR, Reason.FINISHED),
     }
     assert {reason for reason in Reason if not reason.lets_go} == hold

@@ -7,6 +7,7 @@ import pytest
 
 from deploy.errors import CalibrationError
 from deploy.force.sensor import IDENTITY, Mounted, Wrench
+from deploy.loop.control import Contacting
 from deploy.loop.session import CHECKED, HEART, STILL, TARING, _tare, deepest, largest_wanted
 from tests.deploy.made import T_S, margin_row
 
@@ -59,6 +60,13 @@ def test_what_presses_on_the_tool_after_its_tare_is_told_whatever_its_direction(
     assert tare(Felt(force(STILL - 0.01))) == round(1e9 * (TARING + CHECKED * T_S))
     with pytest.raises(CalibrationError, match="let nothing touch the tool"):
         tare(Felt(force(STILL + 0.01)))
+
+
+def test_a_tare_leaves_less_than_a_contact():
+    tare(Felt((0.6 * STILL,) * 2 + (0.5 * STILL,)))
+    with pytest.raises(CalibrationError, match="let nothing touch the tool"):
+        tare(Felt((0.6 * STILL,) * 3))
+    assert STILL < Contacting().threshold
 
 
 @pytest.mark.parametrize("flags", [0x01, 0x20, 0x40])

@@ -1,4 +1,4 @@
-"""What the force sensor says of its own reading counts: "bad" is no reading, "saturated" none to rely on."""
+"""What the force sensor says of its own reading counts: "bad" is no reading, "saturated" none to rely on; and its zero."""
 
 import pytest
 
@@ -50,3 +50,10 @@ def test_a_gauge_that_saturates_ends_contact(plain, saying):
 def test_a_gauge_that_saturated_before_the_start_stays_flagged_and_is_of_the_past(plain, saying):
     saying(0x04)
     assert fly(plain, seconds=1.0).reason is Reason.FINISHED
+
+
+@pytest.mark.parametrize("bias", [(0.0, 0.0, 0.35), (0.0, 0.0, -0.35), (0.35, 0.0, 0.0)])
+def test_a_zero_that_reads_as_a_contact_is_told_before_the_law_looks_for_the_tissue_in_the_air(plain, bias):
+    flight = fly(plain, bias=bias, gap=0.02, seconds=1.0)
+    assert flight.reason is Reason.TARE
+    assert OperatingState.APPROACH not in {now.state for now in flight.safety_states}
