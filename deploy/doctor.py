@@ -19,6 +19,7 @@ from deploy.loop.realtime import MonotonicClock, next_deadline, prepared
 from deploy.loop.statistics import LATE_OVERRUNS, Histogram
 from deploy.puck.codec import PUCKS, SAFETY_MODULE, SENSOR, decode, get
 from deploy.puck.messages import PropertyReply
+from deploy.puck.properties import STAT_ERROR
 
 HIGHEST_LOAD = 0.9
 """Share of the bus that may be planned with frames of the worst length: the rest is adapters and the unexpected."""
@@ -210,6 +211,9 @@ def _ask(opened: Bus, sensor: bool) -> list[Finding]:
     found = [Finding("ok", f"bus: open; nodes {', '.join(map(str, states))} answer")]
     if silent := [node for node in PUCKS if node not in states]:
         found.append(Finding("wrong", f"bus: pucks {', '.join(map(str, silent))} do not answer: power, e-stop, cables"))
+    if broken := [node for node in (*PUCKS, *[SENSOR] * sensor) if states.get(node) == STAT_ERROR]:
+        remedy = "switch the arm off and on; if it stays, ask btutil"
+        found.append(Finding("wrong", f"bus: nodes {', '.join(map(str, broken))} report an error (STAT 1): {remedy}"))
     if SENSOR not in states and sensor:
         found.append(Finding("wrong", "bus: the force sensor (node 8) does not answer: its cable, or --sensor jr3"))
     if SAFETY_MODULE not in states:

@@ -1,6 +1,7 @@
 """The operator at the arm: messages shown and commands taken, without the loop ever waiting for either."""
 
 import sys
+import termios
 import threading
 import time
 from collections import deque
@@ -85,6 +86,7 @@ class Operator:
         self._shown: tuple[OperatingState, Reason, Task] | None = None
         self._state = OperatingState.IDLE
         if keys:
+            _forget_typed()
             threading.Thread(target=self._listen, name="keys", daemon=True).start()
 
     @property
@@ -112,6 +114,12 @@ class Operator:
             elif self._state not in (OperatingState.IDLE, OperatingState.ARMED):
                 self._stop = True
             time.sleep(0.2)  # a key that is held down is one press
+
+
+def _forget_typed() -> None:
+    """An Enter that was typed before it meant anything must not let the approach begin."""
+    if sys.stdin is not None and sys.stdin.isatty():
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
 def _line(result: CycleResult) -> str:

@@ -139,7 +139,8 @@ def test_controllers(tmp_path, arm_artifact, arguments):
 class Robot(can.Listener):
     """Nodes that answer questions for STAT and MODE on a virtual bus."""
 
-    def __init__(self, channel, nodes, mode=1):
+    def __init__(self, channel, nodes, mode=1, broken=()):
+        self.broken = broken
         self.bus = can.Bus(interface="virtual", channel=channel)
         self.nodes, self.values, self.asked = nodes, {5: 2, 8: mode}, []
         self.notifier = can.Notifier(self.bus, [self], timeout=0.005)
@@ -148,7 +149,8 @@ class Robot(can.Listener):
         self.asked.append((msg.arbitration_id, bytes(msg.data)))
         if msg.arbitration_id in self.nodes and len(msg.data) == 1:
             number = msg.data[0]
-            data = bytes((0x80 | number, 0, self.values[number], 0, 0, 0))
+            value = 1 if number == 5 and msg.arbitration_id in self.broken else self.values[number]
+            data = bytes((0x80 | number, 0, value, 0, 0, 0))
             reply = can.Message(arbitration_id=0x406 | msg.arbitration_id << 5, data=data, is_extended_id=False)
             self.bus.send(reply)
 
@@ -157,9 +159,9 @@ class Robot(can.Listener):
         self.bus.shutdown()
 
 
-def ask(channel, nodes, mode=1, sensor=True):
+def ask(channel, nodes, mode=1, sensor=True, broken=()):
     """What the doctor finds; its robot is a thread, which on a busy machine may be late."""
-    robot = Robot(channel, nodes, mode)
+    robot = Robot(channel, nodes, mode, broken)
     try:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(doctor, "_ANSWER_S", 0.2)
@@ -197,6 +199,13 @@ def test_who_answers(channel, nodes, mode, sensor, levels, text):
     found = ask(channel, nodes, mode, sensor)
     assert [finding.level for finding in found] == levels
     assert text in "\n".join(finding.text for finding in found)
+
+
+@pytest.mark.parametrize(("sensor", "named"), [(True, "nodes 3, 8 report"), (False, "nodes 3 report")])
+def test_a_puck_with_an_error_prevents_a_run(channel, sensor, named):
+    found = ask(channel, EVERYBODY, sensor=sensor, broken=(3, 8))
+    assert [finding.level for finding in found] == ["ok", "wrong", "ok"]
+    assert f"{named} an error (STAT 1)" in found[1].text
 
 
 def test_another_controller_on_the_bus_is_left_alone(channel):

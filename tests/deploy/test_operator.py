@@ -1,6 +1,9 @@
 """What the operator commands by keys, signals and the end of the experiment."""
 
 import io
+import os
+import threading
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -50,3 +53,25 @@ def test_a_second_enter_before_the_approach_ends_nothing(monkeypatch):
     monkeypatch.setattr(operator_module.time, "sleep", lambda seconds: None)
     operator._listen()
     assert operator.command == OperatorCommand(True, True)
+
+
+def test_an_enter_from_before_it_was_asked_for_begins_nothing(monkeypatch):
+    master, slave = os.openpty()
+    try:
+        os.write(master, b"\n\n")
+        with os.fdopen(slave) as terminal:
+            monkeypatch.setattr(operator_module.sys, "stdin", terminal)
+            operator = made(start=False, keys=True)
+            time.sleep(0.3)
+            assert not operator.command.start
+            os.write(master, b"\n")
+            end = time.monotonic() + 10.0
+            while not operator.command.start and time.monotonic() < end:
+                time.sleep(0.01)
+            assert operator.command.start
+            os.write(master, b"\x04")  # the end of what is typed, and of who listens
+            for thread in threading.enumerate():
+                if thread.name == "keys":
+                    thread.join(10.0)
+    finally:
+        os.close(master)
