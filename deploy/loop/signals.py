@@ -1,7 +1,7 @@
 """Ctrl-C and SIGTERM: the first asks, the second lets go, and after it the process ends whatever hangs.
 
-A terminal that is closed, as by a connection that breaks, asks too. It may say so twice, by the shell and by the kernel:
-that lets nothing go. Who had it ignored before, by nohup, flies on.
+A terminal that is closed, as by a connection that breaks, asks too. It may say so twice, by the shell and by the
+kernel: that lets nothing go. Who had it ignored before, by nohup, flies on.
 
 What ends it then is SIGALRM with the system's own action: no lock, no disk and no loop of this program can hold it up.
 The watchdog sees the pipe close, as with any other death of the controller.

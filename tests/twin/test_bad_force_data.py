@@ -1,4 +1,4 @@
-"""What the force sensor says of its own reading counts: "bad" is no reading, "saturated" none to rely on; and its zero."""
+"""What a force sensor says of its own reading counts: "bad" is none, "saturated" none to rely on; and its zero."""
 
 import pytest
 

@@ -146,13 +146,12 @@ def _check_fixed(spec: TuneSpec, of_another_order: bool) -> None:
         if not goal.kept(values, limit).all():
             K_s = spec.judged_at[int((np.argmax if goal.ceiling else np.argmin)(values))]
             value = f"{name} = {goal.worst(values):.4g} at {K_s:.4g} N/m"
-            key, remedy = (
-                "params",
-                'They stay as they are: tune them by themselves first, or take published = "cautious".',
-            )
             if of_another_order:
                 key = f"tune.orders, of {spec.params.disturbance_order}"
                 remedy = "They are designed with that order and then stay: leave it out, or free them, too."
+            else:
+                key = "params"
+                remedy = 'They stay as they are: tune them by themselves first, or take published = "cautious".'
             raise InputError(key, value, f"{goal.sign} {goal.amount(limit)} with its fixed gains", remedy)
 
 
