@@ -62,17 +62,19 @@ def _bar(title: str, total: int) -> Iterator[Tick]:
 
 
 def _lines(title: str, total: int, unit: str) -> Iterator[Tick]:
-    began = last = time.monotonic()
-    first: list[int] = []
+    last = time.monotonic()
+    begun: tuple[int, float] | None = None
 
     def tick(done: int, note: str) -> None:
-        nonlocal last
+        nonlocal last, begun
         now = time.monotonic()
-        first.append(done)
+        # What came before the first time, as compiling, does not come again.
+        begun = begun or (done, now)
         if now - last < PLAIN_EVERY and done < total:
             return
         last = now
-        rate = (done - first[0]) / max(now - began, 1e-9)
+        before, began = begun
+        rate = (done - before) / max(now - began, 1e-9)
         left = f", {(total - done) / rate:.0f} s left" if rate > 0.0 and done < total else ""
         sys.stderr.write(f"{title}: {done}/{total} {unit}{left}  {note}\n")
         sys.stderr.flush()

@@ -10,6 +10,7 @@ from jaxmpc.cli.limit import HEADER, PLACE
 from jaxmpc.files.errors import nearest
 from jaxmpc.quantities import MARGINS
 from jaxmpc.terminal import layout
+from jaxmpc.terminal.progress import progress
 from jaxmpc.terminal.tables import RESIDUAL_HEADER
 from tests.screen import WIDTHS, on_terminal, shown
 
@@ -71,6 +72,19 @@ def test_progress_keeps_its_numbers(columns: int, tmp_path: Path) -> None:
     for number in ("1234567/1234567", "987654", "1357", "0.02468", "43210", "56789"):
         assert number in text
     assert "…" not in text
+
+
+def test_the_time_that_is_left_knows_no_compiling(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hundred seconds until the first rows were there, and ten for the same number once more."""
+    clock = iter([0.0, 100.0, 110.0])
+    monkeypatch.setattr("jaxmpc.terminal.progress.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("jaxmpc.terminal.progress.PATIENCE", 1e3)
+    with progress("sweep", 1000) as tick:
+        tick(100, "")
+        tick(200, "")
+    assert capsys.readouterr().err.split("\n")[1] == "sweep: 200/1000 rows, 80 s left  "
 
 
 @pytest.mark.parametrize("columns", WIDTHS)
