@@ -9,7 +9,7 @@ import re
 import struct
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -152,8 +152,12 @@ def _refused(word: str) -> Any:
     raise SealError(f"its header holds {word}, which is no number of JSON")
 
 
-def write_atomic(path: Path, data: bytes) -> None:
+def write_atomic(path: Path, data: bytes | Iterable[bytes]) -> None:
     """Write a file so that after a crash at any moment it is there whole, or as it was before.
+
+    Args:
+        path: Of the file.
+        data: What it is to hold; of what is large its pieces in order, so that they need not be there at once.
 
     Raises:
         OSError: The disk is full or the folder not writable, with the file's name; no partial file stays behind.
@@ -165,12 +169,12 @@ def write_atomic(path: Path, data: bytes) -> None:
         raise
 
 
-def _write_atomic(path: Path, data: bytes) -> None:
+def _write_atomic(path: Path, data: bytes | Iterable[bytes]) -> None:
     # Of a name as long as can be a part, since the file's own must not become too long.
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:50]}.")
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(data)
+            file.writelines([data] if isinstance(data, bytes) else data)
             file.flush()
             os.fsync(file.fileno())
         os.chmod(name, 0o644)

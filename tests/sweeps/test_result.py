@@ -5,6 +5,7 @@ import os
 import stat
 import sys
 import tomllib
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.report.influence import _score
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
+from sweeps import labelled
 from sweeps.axis import SweepAxis
 from sweeps.goal import SweepGoal
 from sweeps.judged import Point
@@ -174,6 +176,25 @@ def test_csv_holds_every_row_and_stiffness(finished: Finished, tmp_path: Path) -
     assert float(last["rms_z [N]"]) == result["rms"][-1, 1, 2]
     assert [row["in_float64"] == "True" for row in rows[::2]] == result["in_float64"].tolist()
     assert float(last["delay_margin_s [s]"]) == result["delay_margin_s"][-1, 1]
+
+
+def test_a_csv_takes_little_memory_beside_the_result(
+    finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finished[1].to_csv(tmp_path / "at once.csv")
+    monkeypatch.setattr(labelled, "LINES", 50)
+    finished[1].to_csv(tmp_path / "pieces.csv")
+    assert (tmp_path / "pieces.csv").read_bytes() == (tmp_path / "at once.csv").read_bytes()
+    many = finished[1].take(np.tile(np.arange(ROWS), 20))
+    columns = sum(values.nbytes for _, _, values in labelled._table(many))
+    tracemalloc.start()
+    try:
+        many.to_csv(tmp_path / "many.csv")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    # All lines at once are ten times the columns, as Python's numbers and as text.
+    assert peak < 2 * columns
 
 
 def test_xarray_has_dimensions_coordinates_and_units(finished: Finished) -> None:
