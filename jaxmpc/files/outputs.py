@@ -52,9 +52,11 @@ def check_folder(key: str, path: Path | None) -> None:
         return
     _check_name(key, path)
     try:
-        there = next(each for each in (path, *path.absolute().parents) if each.exists())
+        # A link to nothing does not exist, and no folder can be made in its place.
+        there = next(each for each in (path, *path.absolute().parents) if each.exists() or each.is_symlink())
         if not there.is_dir():
-            raise InputError(key, path, "a folder", f"{there} is a file: choose another with {key}.")
+            kind = "a file" if there.exists() else "a link to nothing"
+            raise InputError(key, path, "a folder", f"{there} is {kind}: choose another with {key}.")
         _check_writable(there)
     except OSError as error:
         raise InputError(key, path, "a path that can be written", f"{error.strerror}.") from None

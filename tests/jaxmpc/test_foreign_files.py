@@ -103,6 +103,15 @@ def test_outputs_are_looked_at_and_nothing_is_made(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+def test_no_folder_is_made_in_the_place_of_a_link_to_nothing(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "nothing")
+    for path in (tmp_path / "link", tmp_path / "link" / "x"):
+        with pytest.raises(InputError, match="a link to nothing"):
+            check_folder("-o", path)
+    (tmp_path / "nothing").mkdir()
+    check_folder("-o", tmp_path / "link")
+
+
 def test_columns_of_two_dimensions_are_refused_by_name() -> None:
     with pytest.raises(InputError, match="Khat_s"):
         Params().with_columns({"Khat_s": np.full((3, 2), 900.0)})
