@@ -2,36 +2,23 @@
 
 import argparse
 import os
+import shlex
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxmpc.files.errors import InputError, nearest, plain_name
+from jaxmpc.files.errors import InputError, plain_name
 from jaxmpc.files.outputs import check_folder
 from jaxmpc.terminal.arguments import engine_argument
-from sweeps.show.cli import VERBS, counts, show, show_arguments
+from sweeps.arguments import verb_of
+from sweeps.show.cli import counts, show, show_arguments
 
 if TYPE_CHECKING:
     from sweeps.plan import Plan
     from sweeps.run import MakeCrew
     from sweeps.spec import SweepSpec
-
-RUN_ONLY = {
-    "dry_run": "--dry-run",
-    "measure": "--measure",
-    "chunk": "--chunk",
-    "quiet": "--quiet",
-    "cores": "--cores",
-    "engine": "--engine",
-    "part": "--part",
-    "local_workers": "--local-workers",
-    "cluster": "--cluster",
-    "retry": "--retry",
-    "silence": "--lease",
-}
-SHOW_ONLY = {"csv": "--csv", "max_ms": "--max-ms", "n": "-n", "goals": "--goals", "params": "--params"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -73,18 +60,13 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: The spec, the folder or the arguments are wrong.
     """
-    verb = args.what[0] if args.what[0] in VERBS else None
-    wanted = 1 if verb is None else 3 if verb == "row" else 2
-    if len(args.what) != wanted:
-        known = f"SPEC.toml, or one of {', '.join(VERBS)} with DIR"
-        remedy = "See `jaxmpc sweep --help`." if len(args.what) < 2 else nearest(args.what[0], list(VERBS))
-        raise InputError("arguments", " ".join(args.what), known, remedy)
-    for name, flag in (SHOW_ONLY if verb is None else RUN_ONLY).items():
-        if getattr(args, name) is not None:
-            kind = "`jaxmpc sweep report` and its like" if verb is None else "running a sweep"
-            raise InputError(flag, "given", "left out here", f"It belongs to {kind}.")
+    verb = verb_of(args)
+    if verb is not None:
+        return show(verb, args)
     try:
-        return _sweep(args) if verb is None else show(verb, args)
+        return _sweep(args)
+    except BrokenPipeError:
+        raise  # nobody reads what is told, which costs no chunk
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         print(f"jaxmpc sweep: cannot write: {error.strerror}{where}. Finished chunks are kept.", file=sys.stderr)
@@ -126,6 +108,7 @@ def _sweep(args: argparse.Namespace) -> int:
         engines.check(spec, plan)
     if args.chunk is not None:
         check_chunk(plan, args.chunk)
+    crew = _crew(args, cores)
     if spec.refine is not None:
         from sweeps.refine.run import check as check_refined
 
@@ -137,11 +120,13 @@ def _sweep(args: argparse.Namespace) -> int:
     print(f"  rows        {len(plan.rows)}" + (f" ({left_out} more with Hu > Hp are left out)" if left_out else ""))
     print(f"  results     {folder}" + (", continued" if begun else ""), flush=True)
     if args.dry_run:
-        from sweeps.dry_run import dry_run
+        from sweeps.dry_run import dry_run, there
 
+        if begun:
+            print(f"  there       {there(folder, plan)}")
         print(dry_run(spec, plan, cores, measure=bool(args.measure)))
         return 0
-    return _run(spec, plan, folder, part, cores, _crew(args, cores), args)
+    return _run(spec, plan, folder, part, cores, crew, args)
 
 
 def _run(
@@ -193,7 +178,7 @@ def _run(
     notes = [*(in_the_way(result, result.goal) if result.complete else ()), *chance(result)]
     print("".join(f"{line}\n" for line in notes), end="")
     if result.complete:
-        print(f"result {result.hash}\nnext: jaxmpc sweep report {folder}")
+        print(f"result {result.hash}\nnext: jaxmpc sweep report {shlex.quote(str(folder))}")
         return 0
     where, stopped = folder, result
     if result.stages:
@@ -214,7 +199,11 @@ def _run(
 
 
 def _crew(args: argparse.Namespace, cores: int) -> "MakeCrew":
-    given = [flag for flag, value in (("--local-workers", args.local_workers), ("--cluster", args.cluster)) if value]
+    given = [
+        flag
+        for flag, value in (("--local-workers", args.local_workers), ("--cluster", args.cluster))
+        if value is not None
+    ]
     if len(given) > 1:
         raise InputError("--cluster", args.cluster, "given without --local-workers", "Remove one of the two.")
     if not given:
@@ -224,7 +213,7 @@ def _crew(args: argparse.Namespace, cores: int) -> "MakeCrew":
     from sweeps.cluster import DaskCrew, check_address, check_installed
 
     check_installed()
-    if args.cluster:
+    if args.cluster is not None:
         check_address(args.cluster)
         return lambda told: DaskCrew(told, address=args.cluster, cores=args.cores)
     each = max(2, cores // args.local_workers)

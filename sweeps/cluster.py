@@ -13,6 +13,7 @@ from sweeps.leases import Leases, Stretch
 from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan
 from sweeps.share import PATIENCE, Share
+from sweeps.targets import numbered
 
 AHEAD = 2
 """Chunks that each worker has in its hands, so that none waits for the next."""
@@ -32,7 +33,7 @@ _SETTINGS = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
 """Dask's options, for a scheduler and workers of ours."""
-_SECURE = ("tcp://", "tls://", "ucx://", "ws://", "wss://")
+_PROTOCOLS = ("tcp://", "tls://", "ucx://", "ws://", "wss://")
 
 
 def worked(
@@ -195,13 +196,19 @@ def check_installed() -> None:
 
 
 def check_address(address: str) -> None:
-    """Refuse what is no address of a scheduler.
+    """Refuse what is no address of a scheduler, or one that no certificate opens.
 
     Raises:
-        InputError: It has no protocol.
+        InputError: It has no protocol, host or port, or asks for certificates that Dask has not been told of.
     """
-    if not address.startswith(_SECURE):
+    protocol, mark, rest = address.partition("://")
+    host, _, port = rest.partition("/")[0].rpartition(":")
+    if f"{protocol}{mark}" not in _PROTOCOLS or not host or not (numbered(port) and 0 < int(port) < 2**16):
         raise InputError("--cluster", address, "tcp://HOST:PORT or tls://HOST:PORT", "A scheduler prints its address.")
+    distributed, _ = _dask()
+    if protocol in ("tls", "wss") and not distributed.Security().get_connection_args("client").get("ssl_context"):
+        remedy = "Name them in its settings (distributed.comm.tls.ca-file and client.cert, client.key)."
+        raise InputError("--cluster", address, "given where Dask knows its certificates", remedy)
 
 
 def _dask() -> tuple[Any, Any]:

@@ -2,15 +2,19 @@
 
 import math
 import time
+from pathlib import Path
 
 from jaxmpc.quantities import METRICS
-from sweeps import rates
+from sweeps import rates, store
 from sweeps.blocks import block_of, in_pairs, padded, programs, signal_bytes
 from sweeps.compiling import so_far
+from sweeps.decided import plan_in_float64
 from sweeps.engines import Devices, devices, engine_of
 from sweeps.machine import processor
 from sweeps.pace import CHUNK_SECONDS, Pace
 from sweeps.plan import Plan
+from sweeps.result import Result
+from sweeps.show.best_rows import progress
 from sweeps.spec import SweepSpec
 
 PROCESS_MB = 500
@@ -57,7 +61,27 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
     if spec.refine is not None:
         refined = "what stands above is of all rows on the spec's own experiment"
         lines.append(f"  refined by  {spec.refine.method}: {refined}")
-    return "\n".join([*lines, "dry run: nothing was written"])
+    but = " but how fast that was, for estimates" if measure else ""
+    return "\n".join([*lines, f"dry run: nothing was written{but}"])
+
+
+def there(folder: Path, plan: Plan) -> str:
+    """What of a sweep that has been begun is there, and whether that is all, for a person.
+
+    Args:
+        folder: The sweep's.
+        plan: What is swept, ranked as it is to be now.
+    """
+    if store.read_manifest(folder).get("schema") == store.REFINED and not store.stage_folders(folder):
+        return "nothing yet"
+    result = Result.load(folder)
+    if not result.complete:
+        return progress(result)
+    # Folders from before, and those of another ranking, hold rows that float32 leaves to chance.
+    decided = result.stages or result.decided or plan_in_float64(plan, result.columns) is None
+    if result.goal == plan.goal and decided:
+        return "all of it: the sweep is finished, and nothing is left to compute"
+    return "every row; what float32 cannot decide of this ranking is left"
 
 
 def row_memory(plan: Plan) -> int:

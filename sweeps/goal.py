@@ -12,6 +12,9 @@ from jaxmpc.quantities import HIGHEST_M_S, MARGINS, METRICS, Quantity
 MEASURED: Mapping[str, Quantity] = MappingProxyType({**METRICS, **MARGINS})
 """What can be ranked, limited and kept."""
 
+ON_ARM = frozenset({"swing", *(name for name, metric in METRICS.items() if metric.arm_only)})
+"""What sweeps of the linear loop do not measure: there it is NaN, or 0 for want of joints."""
+
 Decide = Annotated[int, msgspec.Meta(ge=0, le=100_000)]
 DECIDE = 1000
 """Rows that run once more in float64 at most, unless a spec says otherwise."""

@@ -213,7 +213,7 @@ def describe(plan: Plan) -> str:
         for axis in factor:
             ends = ", ".join(map(axis.label, range(len(axis.values))))
             if axis.numeric:
-                ends = f"{min(axis.values):.6g} … {max(axis.values):.6g} {axis.unit}"
+                ends = f"{min(axis.values):.6g} … {max(axis.values):.6g} {axis.unit}".removesuffix(" -")
             points = (
                 f"{len(axis.values)} values" if space.kind == "grid" or axis.scale in ("list", "choice") else "drawn"
             )

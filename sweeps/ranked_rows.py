@@ -84,7 +84,8 @@ class SweepRows:
         found = np.flatnonzero(self["row"] == row)
         if not len(found):
             bound = f"one of the {len(self)} rows, {self['row'].min()} … {self['row'].max()}" if len(self) else "there"
-            raise InputError("row", row, bound, "Rows with Hu > Hp, and rows not yet computed, are not here.")
+            remedy = "Rows with Hu > Hp, that a stage left behind, or not yet computed are not here."
+            raise InputError("row", row, bound, remedy)
         return int(found[0])
 
     def ranked(self, goal: SweepGoal | None = None) -> np.ndarray:

@@ -12,7 +12,7 @@ from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_t
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.sampling import check_sampling
 from jaxmpc.world.tissue import LAWS
-from sweeps.goal import MEASURED, SweepGoal, columns_kept
+from sweeps.goal import MEASURED, ON_ARM, SweepGoal, columns_kept
 from sweeps.reading import flattened, read_space, stiffness_set
 from sweeps.space import SweepSpace
 from sweeps.tables import OnError, Precision, RefineTable, SweepTable
@@ -120,7 +120,12 @@ class SweepSpec:
         for key, value in changes.items():
             merge = isinstance(value, dict) and isinstance(data.get(key), dict)
             data[key] = {**data[key], **value} if merge else value
-        return replace(self, experiment=Experiment.from_dict(data, root=root))
+        try:
+            return replace(self, experiment=Experiment.from_dict(data, root=root))
+        except InputError as error:
+            # What does not go together is told by keys that the base's own table has, too.
+            error.key = f"{root}.{error.key.removeprefix(f'{root}.')}"
+            raise
 
     def only(self, rows: tuple[int, ...]) -> "SweepSpec":
         """The same sweep of some rows alone, which keep their numbers and their bits."""
@@ -189,14 +194,11 @@ def _check_ranked(spec: SweepSpec) -> None:
         InputError: They would be.
     """
     front = spec.refine.goals if spec.refine is not None and spec.refine.method == "pareto" else ()
-    for key, names in (
-        ("sweep.best", [spec.goal.best]),
-        ("sweep.constraints", spec.goal.constraints),
-        ("refine.goals", front),
-    ):
-        if "swing" in names:
+    ranked = {"sweep.best": [spec.goal.best], "sweep.constraints": spec.goal.constraints, "refine.goals": front}
+    for key, names in ranked.items():
+        if name := next((name for name in names if name in ON_ARM), None):
             remedy = 'Only on the arm it is measured: set experiment.physics = "wam", or take another metric.'
-            raise InputError(key, "swing", "what sweeps of the linear loop measure", remedy)
+            raise InputError(key, name, "what sweeps of the linear loop measure", remedy)
 
 
 def _idle(name: str, where: str, remedy: str) -> InputError:

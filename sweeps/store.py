@@ -33,7 +33,11 @@ def read_plan(folder: Path) -> Plan:
     Raises:
         InputError: The folder holds none, or one that was changed by hand.
     """
-    manifest = read_manifest(folder)
+    manifest = _manifest(folder)
+    if manifest.get("schema") == REFINED:
+        raise InputError(
+            "sweep folder", folder, "begun", "It is of a refined sweep, none of whose stages is there yet."
+        )
     if str(manifest.get("schema", "")).startswith("jaxmpc-sweep/") and manifest["schema"] != SCHEMA:
         raise InputError("schema", manifest["schema"], SCHEMA, "Another version made it: run the spec anew with -o.")
     if manifest.get("schema") != SCHEMA or not isinstance(manifest.get("spec"), dict):
@@ -56,6 +60,22 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return _read(folder / "manifest.json")
 
 
+def _manifest(folder: Path) -> dict[str, Any]:
+    """The same; one that is there and cannot be read is told of, since rows lie beside it.
+
+    Raises:
+        InputError: The manifest is damaged or may not be read.
+    """
+    path = folder / "manifest.json"
+    if not path.is_file():
+        return {}
+    try:
+        return json_of(read_text(path, LARGEST_JSON), path)
+    except InputError as error:
+        remedy = f"{error.remedy} Put it back from a copy, or run the spec anew with -o."
+        raise InputError("manifest", path, "as `jaxmpc sweep` wrote it", remedy) from None
+
+
 def check(folder: Path, plan: Plan) -> bool:
     """Whether the folder already holds this very sweep; writes nothing.
 
@@ -64,7 +84,7 @@ def check(folder: Path, plan: Plan) -> bool:
     """
     if not _begun(folder):
         return False
-    if read_manifest(folder).get("schema") == REFINED:
+    if _manifest(folder).get("schema") == REFINED:
         raise InputError(
             "output folder", folder, "empty or of a plain sweep", "It holds a refined one: choose with -o."
         )
@@ -78,7 +98,7 @@ def check_refined(folder: Path, spec: Mapping[str, Any], spec_hash: str) -> bool
     """The same of a refined sweep, whose spec is plain data."""
     if not _begun(folder):
         return False
-    there = read_manifest(folder)
+    there = _manifest(folder)
     if there.get("schema") != REFINED:
         raise InputError("output folder", folder, "empty or a refined sweep's", "It holds another: choose with -o.")
     if there.get("spec_hash") != spec_hash:

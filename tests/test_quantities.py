@@ -113,5 +113,10 @@ def test_metrics_and_margins_are_in_the_tables() -> None:
     margins = Margins(*(jnp.ones(tissues) for _ in Margins._fields))
     outcome = Outcome(metrics, margins, jnp.zeros(tissues), jnp.zeros(tissues), None)
     assert [row[0] for row in metric_rows(outcome, experiment)] == [row.heading for row in METRICS.values()]
+    cells = {name: row[1:] for name, row in zip(METRICS, metric_rows(outcome, experiment), strict=True)}
+    none = {name for name, row in cells.items() if set(row) == {"– / – / –"}}
+    assert none == {"clamped", "joint_torque", "torque_step"}, "the linear loop has no joints"
+    on_arm = Experiment.published("table-1-wam")
+    assert not any("–" in cell for row in metric_rows(outcome, on_arm) for cell in row)
     assert {row.heading for row in MARGINS.values()} < set(RESIDUAL_HEADER)
     assert {len(row) for row in residual_rows("text", outcome, experiment)} == {len(RESIDUAL_HEADER)}

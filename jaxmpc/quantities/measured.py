@@ -44,15 +44,20 @@ METRICS = table(
         *("clamped", "-", "share of samples at which a torque limit acted", "clamped", "ceiling", "clamped", "%"),
         times=100.0,
         follows="chatter",
+        arm_only=True,
         float32_error=1.0,
     ),
     Metric(
-        "joint_torque", "N m", "largest torque wanted of a joint", r"$|\tau|$", head="joint torque", follows="chatter"
+        *("joint_torque", "N m", "largest torque wanted of a joint", r"$|\tau|$"),
+        head="joint torque",
+        follows="chatter",
+        arm_only=True,
     ),
     Metric(
         *("torque_step", "N m", "largest change of it per sample", r"$|\Delta\tau|$"),
         head="torque step",
         follows="chatter",
+        arm_only=True,
         float32_error=0.4,
     ),
     Metric(

@@ -87,6 +87,8 @@ class Metric(Quantity):
     """Its usual ratio to the residual's RMS, where that stands in for it; a weight, no more."""
     follows: str = "rms"
     """The metric that a spectrum tells and that it grows with, where spectra are corrected by runs."""
+    arm_only: bool = False
+    """Whether it is of joints, which the linear loop has not: there it is 0."""
     float32_error: float = 0.2
     """Largest relative difference between float32 and float64 of a row's worst value, where M_s ≤ 3, 4 s or more are
     scored and no torque limit acts [-]; see `sweeps.undecided`."""

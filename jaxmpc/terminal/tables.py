@@ -63,11 +63,12 @@ RESIDUAL_HEADER = (
 
 
 def metric_rows(outcome: "Outcome", experiment: "Experiment") -> list[list[str]]:
-    """One row per metric: its three axes on each stiffness, see `metric_header`."""
+    """One row per metric: its three axes on each stiffness, see `metric_header`; – where there are no joints."""
     rows = []
+    linear = experiment.physics == "linear"
     for name, metric in METRICS.items():
         cells = getattr(outcome.metrics, name)[: len(experiment.stiffness)]
-        each = (" / ".join(map(metric.entry, axes)) for axes in cells)
+        each = (" / ".join("–" if linear and metric.arm_only else metric.entry(x) for x in axes) for axes in cells)
         rows.append([metric.heading, *each])
     return rows
 

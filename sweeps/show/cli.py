@@ -53,8 +53,10 @@ def show(verb: str, args: argparse.Namespace) -> int:
         )
     if n < 1:
         raise InputError("-n", n, "at least 1", "Ask for one row or more.")
+    from sweeps.goal import ON_ARM
     from sweeps.result import Result
     from sweeps.show.best_rows import chance, goal_of, progress
+    from sweeps.show.curves import world_words
     from sweeps.show.in_the_way import in_the_way
 
     folder = Path(args.what[1])
@@ -80,7 +82,9 @@ def show(verb: str, args: argparse.Namespace) -> int:
         notes = [*in_the_way(result, goal_of(result, limit)), *chance(result, limit)]
         print("".join(f"{line}\n" for line in notes), end="")
     else:
-        goals = tuple(name.strip() for name in args.goals.split(",")) if args.goals else ("rms", "M_s")
+        goals = ("rms", "M_s") if args.goals is None else tuple(name.strip() for name in args.goals.split(","))
+        if world_words(result) == "linear loop" and (absent := next((name for name in goals if name in ON_ARM), None)):
+            raise InputError("--goals", absent, "what the linear loop measures", "Only runs on the arm have it.")
         shown = result.pareto(*goals)
         print(rows_table(shown.take(slice(n) if args.n else slice(None)), f"Pareto front of {', '.join(goals)}", goals))
     return _written(shown, args)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxmpc.experiment import AXES
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.status import Status
-from sweeps.goal import MEASURED
+from sweeps.goal import MEASURED, ON_ARM
 from sweeps.result import Result
 from sweeps.sensitivity import sensitivity
 
@@ -25,7 +25,11 @@ def rows_table(result: Result, title: str, goals: Sequence[str] = ()) -> str:
     values = {name: result.worst(name) for name in shown}
     for place in range(len(result)):
         swept = [axis.label(float(result[axis.name][place])) for axis in result.axes]
-        found = [f"{MEASURED[name].times * values[name][place]:.4g}" for name in shown]
+        absent = _not_measured(result, place)
+        found = [
+            "–" if name in absent else f"{MEASURED[name].times * values[name][place]:.4g}".replace("inf", "∞")
+            for name in shown
+        ]
         lines.append([str(result["row"][place]), *swept, *found])
     return "\n".join([f"{title}; worst over stiffness and axis", *aligned(lines)])
 
@@ -38,11 +42,13 @@ def row_sheet(result: Result) -> str:
         lines.append(f"  {axis.name} = {axis.label(float(result[axis.name][0]))}{unit}")
     table = [["", *(f"{stiffness:g} N/m" for stiffness in result.tissues[0])]]
     table.append(["status", *(Status(int(status)).name for status in result["status"][0])])
+    absent = _not_measured(result, 0)
     for name in result.plan.kept:
         quantity = MEASURED[name]
         for i, axis_name in enumerate(AXES if name in METRICS else ("",)):
             cells = result[name][0, :, i] if name in METRICS else result[name][0]
-            table.append([f"{quantity.heading} {axis_name}".rstrip(), *map(quantity.entry, cells)])
+            entries = ["–" if name in absent else quantity.entry(cell) for cell in cells]
+            table.append([f"{quantity.heading} {axis_name}".rstrip(), *entries])
     return "\n".join([*lines, *aligned(table)])
 
 
@@ -72,6 +78,14 @@ def aligned(lines: Sequence[Sequence[str]]) -> list[str]:
         )
         for line in lines
     ]
+
+
+def _not_measured(result: Result, place: int) -> frozenset[str]:
+    """What the run of a row does not measure."""
+    swept = [axis for axis in result.axes if axis.name == "physics"]
+    physics = [axis.values[int(result["physics"][place])] for axis in swept]
+    base = result.plan.canonical["experiment"]["physics"]
+    return ON_ARM if [*physics, base][0] == "linear" else frozenset()
 
 
 def _heading(name: str, unit: str) -> str:

@@ -3,6 +3,7 @@
 import csv
 import os
 import stat
+import subprocess
 import sys
 import tomllib
 import tracemalloc
@@ -32,6 +33,7 @@ from sweeps.show.cli import TAKES
 from sweeps.show.curves import length_words, world_words
 from sweeps.show.in_the_way import in_the_way
 from sweeps.show.report import sweep_report
+from sweeps.show.tables import row_sheet, rows_table
 from sweeps.space import SweepSpace
 from sweeps.store import stage_folders
 
@@ -325,6 +327,44 @@ def test_stages_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     for name in names:
         (tmp_path / "stages" / name / "manifest.json").touch()
     assert [path.name for path in stage_folders(tmp_path)] == names
+
+
+def test_tables_show_no_torque_of_a_loop_without_joints(
+    finished: Finished, command: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = finished[1]
+    joints = ["clamped [%]", "joint torque [N m]", "torque step [N m]"]
+    sheet = row_sheet(result.best(1, 5.0)).splitlines()
+    shown = [line.split("  ")[0] for line in sheet if line.count(" –") == 2]
+    assert set(shown) == {f"{name} {axis}" for name in (*joints, "swing [mN]") for axis in "xyz"}
+    axes = (SweepAxis("physics", "choice", ("linear", "wam")),)
+    space = SweepSpace("grid", (axes,), 2, 0, result.plan.space.horizons)
+    plan = Plan({**result.plan.canonical, "space": msgspec.to_builtins(space)})
+    both = Result(plan, {**result.best(2, 5.0).columns, "physics": np.array([0.0, 1.0])})
+    linear, arm = rows_table(both, "rows", ["torque_step"]).splitlines()[2:]
+    assert (linear.split()[2], arm.split()[2]) == ("–", "0")
+    assert command("sweep", "pareto", finished[0], "--goals", "rms,torque_step") == 2
+    assert "--goals = torque_step: must be what the linear loop measures" in capsys.readouterr().err
+
+
+def test_what_is_infinitely_good_is_shown_alike_by_every_table(finished: Finished) -> None:
+    best = finished[1].best(1, 5.0)
+    endless = replace(best, columns=best.columns | {"gain_reduction_db": np.full((1, 2), np.inf)})
+    for shown in (rows_table(endless, "best"), row_sheet(endless), table(endless, 1, 5.0)):
+        assert "∞" in shown
+        assert "inf" not in shown
+
+
+def test_a_reader_who_has_had_enough_is_no_failure(finished: Finished) -> None:
+    """As `head` behind a pipe; what is told at once needs no buffer to be full."""
+    read, write = os.pipe()
+    os.close(read)
+    line = [sys.executable, "-u", "-m", "jaxmpc", "sweep", "pareto", finished[0]]
+    try:
+        found = subprocess.run(line, stdout=write, stderr=subprocess.PIPE)
+    finally:
+        os.close(write)
+    assert (found.returncode, found.stderr) == (141, b"")
 
 
 def test_the_table_says_when_nothing_is_robust(finished: Finished) -> None:

@@ -193,6 +193,23 @@ def test_folders_of_something_else_are_refused_untouched(
     assert sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*")) == before
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "Expecting value"),
+        ('{"schema": ', "Expecting value"),
+        ('{"schema": "jaxmpc-refine/1"}', "none of whose stages is there yet"),
+    ],
+    ids=["empty", "cut short", "of a refined sweep"],
+)
+def test_a_manifest_that_says_nothing_is_told_for_what_it_is(
+    text: str, words: str, copy: Path, command: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copy / "manifest.json").write_text(text)
+    assert command("sweep", "best", copy) == 2
+    assert words in capsys.readouterr().err
+
+
 def test_a_full_disk_stops_cleanly_and_costs_nothing(
     spec_text: str,
     write_spec: Callable[[str], Path],

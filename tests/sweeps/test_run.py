@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -19,6 +20,7 @@ from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps import cluster
 from sweeps.blocks import padded
+from sweeps.chunks import chunk_files
 from sweeps.compute import begin, compute
 from sweeps.environments import noted
 from sweeps.plan import Columns, Plan, make_plan
@@ -150,6 +152,30 @@ def test_a_dry_run_writes_nothing(
     ):
         assert words in said
     assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]
+
+
+def test_a_dry_run_says_what_is_there(
+    spec_text: str,
+    write_spec: Callable[[str], Path],
+    command: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    finished: Finished,
+    tmp_path: Path,
+) -> None:
+    def said(text: str = spec_text) -> str:
+        before = sorted((tmp_path / "run").rglob("*"))
+        assert command("sweep", write_spec(text), "-o", tmp_path / "run", "--dry-run") == 0
+        assert sorted((tmp_path / "run").rglob("*")) == before
+        return capsys.readouterr().out
+
+    assert "  there " not in said()
+    shutil.copytree(finished[0], tmp_path / "run")
+    assert "  there       all of it: the sweep is finished, and nothing is left to compute\n" in said()
+    other = spec_text.replace("[sweep]", '[sweep]\nbest = "chatter"', 1)
+    assert "  there       every row; what float32 cannot decide of this ranking is left\n" in said(other)
+    for chunk in chunk_files(tmp_path / "run"):
+        chunk.unlink()
+    assert "  there       0 of 120 rows\n" in said()
 
 
 def test_an_engine_is_named_on_the_command_line_and_in_the_environment(

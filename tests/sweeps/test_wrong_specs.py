@@ -71,6 +71,17 @@ WRONG = {
         "[sweep]\nconstraints = { M_s = 2.0, swing = 0.1 }",
         ["sweep.constraints", "swing", "the linear loop"],
     ),
+    "a torque of it": ("[sweep]", '[sweep]\nbest = "joint_torque"', ["sweep.best", "joint_torque", "the linear loop"]),
+    "a limited share of clamped samples of it": (
+        "[sweep]",
+        "[sweep]\nconstraints = { M_s = 2.0, clamped = 0.001 }",
+        ["sweep.constraints", "clamped", "the linear loop"],
+    ),
+    "a stage that ends before it has settled": (
+        "[sweep]",
+        '[refine]\nmethod = "halving"\nstages = [{ keep = 5, experiment = { duration = 0.1 } }]\n[sweep]',
+        ["refine.stages[0].experiment.settle", "below duration (= 0.1 s)"],
+    ),
     "text for a number": ("[3, 10]", '[3, "10"]', ["sweep.axes.Hp", "a number"]),
     "a number for an axis": ("[3, 10]", "3", ["sweep.axes.Hp", "a list or a range"]),
     "unknown key of an axis": ("points = 3", "pionts = 3", ["sweep.axes.T_cl.pionts", "Did you mean 'points'"]),
@@ -119,6 +130,55 @@ def test_wrong_arguments_are_refused(
 ) -> None:
     write_spec(spec_text)
     assert command(*arguments) == 2
+    assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["row", "here"], "must be row DIR N. `jaxmpc sweep best DIR` lists some rows"),
+        (["row", "here", "1", "2"], "must be row DIR N"),
+        (["best", "here", "there"], "must be best DIR. Give one folder"),
+        (["spec.toml", "here"], "Results go to -o here"),
+        (["here"], "It is a folder: `jaxmpc sweep best here` shows"),
+        (["bset", "here"], "Did you mean 'best'?"),
+    ],
+)
+def test_who_forgets_a_word_is_told_which(
+    arguments: list[str], words: str, tmp_path: Path, command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "here").mkdir()
+    assert command("sweep", *arguments) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "nowhere",
+        "",
+        "tcp://",
+        "tcp://:8786",
+        "tcp://host:port",
+        "tcp://host:99999",
+        "http://host:80",
+        "tls://host:8786",
+    ],
+)
+@pytest.mark.parametrize("how", [["--dry-run"], []])
+def test_an_address_of_no_scheduler_is_refused_at_once(
+    address: str,
+    how: list[str],
+    write_spec: Write,
+    spec_text: str,
+    command: Command,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    """Also one that asks for certificates of which Dask knows none."""
+    pytest.importorskip("distributed")
+    assert command("sweep", write_spec(spec_text), "--cluster", address, *how) == 2
+    assert f"--cluster = {address or 'empty'}: must be" in capsys.readouterr().err
     assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]
 
 

@@ -101,6 +101,8 @@ def run(args: argparse.Namespace) -> int:
             show(f"linear margins, the worst of {TISSUES} tissues", COLUMNS, margins.result())
         if args.out:
             _files(args.out, job, trials, names, found, verdicts)
+    except BrokenPipeError:
+        raise  # nobody reads what is told, which costs no block
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         print(f"jaxmpc trials: cannot write: {error.strerror}{where}. Finished blocks are kept.", file=sys.stderr)
