@@ -1,0 +1,108 @@
+"""The report of a sweep: its rows, its front, the controller of each."""
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from jaxmpc.status import Status
+from jaxmpc.synthesis.params import Params
+from sweeps.axis import SweepAxis
+from sweeps.judged import Point
+from sweeps.plan import Plan
+from sweeps.result import Result
+from sweeps.show.best_rows import table
+from sweeps.show.candidates import candidates, template
+from sweeps.show.curves import length_words, world_words
+from sweeps.show.report import sweep_report
+from sweeps.space import SweepSpace
+
+Finished = tuple[Path, Result]
+ROWS = 120
+
+
+@pytest.mark.slow
+def test_report_writes_the_page_and_the_best_controller(
+    finished: Finished, command: Callable[..., int], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder, result = finished
+    before = sorted(folder.rglob("*"))
+    out = tmp_path / "out"
+    arguments = ("sweep", "report", folder, "-o", out, "--csv", tmp_path / "all.csv", "--max-ms", 5, "-n", 3)
+    assert command(*arguments) == 0
+    said = capsys.readouterr().out
+    best = result.best(3, 5.0)
+    assert len(best) == 3
+    assert table(result, 3, 5.0) in said
+    assert result.hash in said
+    assert {path.name for path in out.iterdir()} == {"report.html", "best.toml"}
+    values = tomllib.loads((out / "best.toml").read_text())["params"]
+    assert (values["lam"], values["T_cl"], values["Hp"]) == (best["lam"][0], best["T_cl"][0], best["Hp"][0])
+    assert Params.from_toml(out / "best.toml").to_dict() == best.controller(0).to_dict()
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_report_says_what_rows_met_where_that_is_swept(finished: Finished) -> None:
+    plan = finished[1].plan
+    assert (world_words(finished[1]), length_words(finished[1])) == ("linear loop", "1 s")
+    axes = (SweepAxis("physics", "choice", ("linear", "wam")), SweepAxis("duration", "list", (0.5, 2.0), True))
+    space = SweepSpace("grid", tuple((axis,) for axis in axes), 4, 0, plan.space.horizons)
+    swept = Plan({**plan.canonical, "space": msgspec.to_builtins(space)})
+    result = Result(swept, {"row": np.arange(4), **space.columns(np.arange(4))})
+    assert (world_words(result), length_words(result)) == ("linear loop and arm", "0.5 to 2 s")
+
+
+def test_a_report_has_the_rows_of_the_sweep(finished: Finished) -> None:
+    _, result = finished
+    rows = candidates(result, 5.0)
+    assert len(rows) == ROWS
+    by_name = {each.name: each for each in rows.measures}
+    np.testing.assert_array_equal(by_name["T_cl"].values, result["T_cl"])
+    np.testing.assert_allclose(by_name["M_s"].values, result["M_s"])
+    good = np.isfinite(result.worst("rms")) & (result.worst("M_s") <= 5.0)
+    np.testing.assert_array_equal(rows.feasible, good)
+    np.testing.assert_allclose(by_name["rms"].worst[good], 1e3 * result.worst("rms")[good])
+    shares = rows.influence["M_s"]
+    assert shares.shape == (3, 1 + 2)
+    # λ and T_cl make a loop fast or slow; the horizon hardly does.
+    assert shares[2, 0] < 0.1 < shares[:2, 0].max()
+
+
+@pytest.mark.parametrize(
+    ("best", "goals"),
+    [
+        ("rms", ("rms", "M_s", "chatter")),
+        ("true_rms", ("true_rms", "M_s", "chatter")),
+        ("M_s", ("M_s", "rms", "chatter")),
+    ],
+)
+def test_a_front_has_one_residual(best: str, goals: tuple[str, ...], finished: Finished) -> None:
+    result = finished[1]
+    ranked = replace(result, plan=replace(result.plan, goal=msgspec.structs.replace(result.goal, best=best)))
+    assert tuple(candidates(ranked).goals) == goals
+
+
+def test_the_params_toml_of_a_row_is_its_controller(finished: Finished, tmp_path: Path) -> None:
+    _, result = finished
+    pieces = template(result)
+    values = {"row": "row 7", **{name: result[name][7].item() for name in ("lam", "T_cl", "Hp")}}
+    text = "".join(piece if isinstance(piece, str) else str(values[piece.name]) for piece in pieces)
+    (tmp_path / "params.toml").write_text(text)
+    assert Params.from_toml(tmp_path / "params.toml").to_dict() == result.controller(7).to_dict()
+
+
+def test_a_report_stands_a_sweep_in_which_everything_failed(finished: Finished, tmp_path: Path) -> None:
+    _, result = finished
+    columns = dict(result.columns) | {
+        "status": np.full_like(result["status"], Status.UNSTABLE),
+        "M_s": np.full_like(result["M_s"], np.inf),
+        "rms": np.full_like(result["rms"], np.nan),
+    }
+    failed = replace(result, columns=columns, baseline=Point(np.inf, np.inf))
+    sweep_report(failed, tmp_path / "report.html")
+    assert (tmp_path / "report.html").stat().st_size > 500_000
+    assert "0 of 120 rows are OK" in table(failed)
