@@ -1,4 +1,4 @@
-"""Every way to get a spec or a flag wrong: one sentence, and nothing is written."""
+"""Every way to get a spec wrong: one sentence, and nothing is written."""
 
 import os
 import subprocess
