@@ -45,10 +45,8 @@ def _check_words(verb: str | None, words: Sequence[str]) -> None:
     if verb is not None:
         wanted = "row DIR N" if verb == "row" else f"{verb} DIR"
         if len(words) != len(wanted.split()):
-            remedy = (
-                "`jaxmpc sweep best DIR` lists some rows by their numbers N." if verb == "row" else "Give one folder."
-            )
-            raise InputError("arguments", said, wanted, remedy)
+            by_number = "`jaxmpc sweep best DIR` lists some rows by their numbers N."
+            raise InputError("arguments", said, wanted, by_number if verb == "row" else "Give one folder.")
     elif rest:
         known = f"SPEC.toml, or one of {', '.join(VERBS)} with DIR"
         remedy = f"Results go to -o {rest[0]}." if first.endswith(".toml") else nearest(first, list(VERBS))
