@@ -67,6 +67,16 @@ def test_in_the_loop_signals_are_counted_and_afterwards_all_is_as_before():
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
 
 
+@pytest.fixture
+def before_hangups(request):
+    """What SIGHUP does before the run, whatever it does to these tests: under nohup they inherit that it is ignored."""
+    inherited = signal.signal(signal.SIGHUP, request.param)
+    yield
+    signal.signal(signal.SIGHUP, inherited)
+
+
+@pytest.mark.parametrize("before_hangups", [signal.SIG_DFL], indirect=True)
+@pytest.mark.usefixtures("before_hangups")
 def test_a_terminal_that_is_closed_asks_and_lets_nothing_go_however_often_it_is_told():
     with EndingSignals() as signals:
         signals.begin()
@@ -81,13 +91,11 @@ def test_a_terminal_that_is_closed_asks_and_lets_nothing_go_however_often_it_is_
         signal.raise_signal(signal.SIGHUP)
 
 
+@pytest.mark.parametrize("before_hangups", [signal.SIG_IGN], indirect=True)
+@pytest.mark.usefixtures("before_hangups")
 def test_under_nohup_a_closed_terminal_is_none_of_its_business():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with EndingSignals() as signals:
-            signals.begin()
-            signal.raise_signal(signal.SIGHUP)
-            assert signals.count == 0
-        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    with EndingSignals() as signals:
+        signals.begin()
+        signal.raise_signal(signal.SIGHUP)
+        assert signals.count == 0
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
