@@ -213,9 +213,10 @@ def _where(stable: Array, value: Array, otherwise: float) -> Array:
 
 
 def _still(stable: Array, gains: Gains) -> Gains:
-    """Gains of zero where a loop is unstable; the places of the knots stay, between which one divides."""
+    """Gains of zero where a loop is unstable; the input gain and the places of the knots stay, by which one divides."""
     family = gains.schedule
-    found: Gains = jax.tree.map(lambda gain: _where(stable, gain, 0.0), gains._replace(schedule=None))
+    none: Gains = jax.tree.map(lambda gain: _where(stable, gain, 0.0), gains._replace(schedule=None))
+    found = none._replace(input_gain=gains.input_gain)
     if family is None:
         return found
     knots = tuple(knot._replace(gains=_still(stable, knot.gains)) for knot in family.knots)
