@@ -53,17 +53,21 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False, to
     blocks: list[Outcomes] = []
     lost, swinging = np.zeros((2, len(job.controllers)), int)
     with progress("trials", count, "trials", show) as tick, Beside(1) as telling:
+
+        def tell(first: int, block: Outcomes, said: str) -> None:
+            if told:
+                told(first, block)
+            tick(min(first + drawn.BLOCK, count), said)
+
         heard = deque[Future[None]]()
         for first, found in _all_blocks(job, count, folder):
             blocks.append(Outcomes(*(field[: count - first] for field in found)))
             lost += blocks[-1].lost.sum(axis=0)
             swinging += blocks[-1].swinging.sum(axis=0)
             said = " / ".join(f"{a} lost, {b} swinging" for a, b in zip(lost, swinging, strict=True))
-            if told:
-                heard.append(telling.submit(told, first, blocks[-1]))
+            heard.append(telling.submit(tell, first, blocks[-1], said))
             while heard and heard[0].done():
                 heard.popleft().result()
-            tick(min(first + drawn.BLOCK, count), said)
         for each in heard:
             each.result()
     return Outcomes(*map(np.concatenate, zip(*blocks, strict=True)))
