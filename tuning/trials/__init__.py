@@ -13,14 +13,11 @@ Three verdicts, of which a trial may deserve several:
 - *swinging*: true force above 12 Hz of more than 0.1 N RMS on any axis over the last 10 s (`jaxmpc.swing`).
 """
 
-from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
 
-from jaxmpc.beside import Beside
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
 from jaxmpc.terminal.progress import progress
@@ -43,7 +40,7 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False, to
         count: Number of trials.
         folder: Where finished blocks are kept and found again; None keeps none.
         show: Whether to show progress.
-        told: Hears of each block, in a thread of its own: a GPU would wait for what it does.
+        told: Hears of each block.
 
     Raises:
         InputError: The count is out of bounds, or the folder holds blocks of another job.
@@ -52,24 +49,15 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False, to
         raise InputError("trials", count, f"in [1, {MOST}]", "10000 is usual.")
     blocks: list[Outcomes] = []
     lost, swinging = np.zeros((2, len(job.controllers)), int)
-    with progress("trials", count, "trials", show) as tick, Beside(1) as telling:
-
-        def tell(first: int, block: Outcomes, said: str) -> None:
-            if told:
-                told(first, block)
-            tick(min(first + drawn.BLOCK, count), said)
-
-        heard = deque[Future[None]]()
+    with progress("trials", count, "trials", show) as tick:
         for first, found in _all_blocks(job, count, folder):
             blocks.append(Outcomes(*(field[: count - first] for field in found)))
             lost += blocks[-1].lost.sum(axis=0)
             swinging += blocks[-1].swinging.sum(axis=0)
             said = " / ".join(f"{a} lost, {b} swinging" for a, b in zip(lost, swinging, strict=True))
-            heard.append(telling.submit(tell, first, blocks[-1], said))
-            while heard and heard[0].done():
-                heard.popleft().result()
-        for each in heard:
-            each.result()
+            if told:
+                told(first, blocks[-1])
+            tick(min(first + drawn.BLOCK, count), said)
     return Outcomes(*map(np.concatenate, zip(*blocks, strict=True)))
 
 
