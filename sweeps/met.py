@@ -43,8 +43,13 @@ def scored_time(plan: Plan, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     axes = tuple(axis for axis in plan.space.axes if axis.name.startswith("reference."))
     # All numbers are alike: a constant force has no ramp.
     entries = [columns[axis.name] if not axis.numeric else np.full(len(end), axis.values[0]) for axis in axes]
-    found, which = np.unique(np.stack([np.zeros(len(end)), *entries], axis=1), axis=0, return_inverse=True)
-    for i, (_, *chosen) in enumerate(found.tolist()):
+    # Of no columns numpy finds no unique rows, and of a million alike it takes half a second.
+    found: list[list[float]] = [[]]
+    which = np.zeros(len(end), int)
+    if axes:
+        table, which = np.unique(np.stack(entries, axis=1), axis=0, return_inverse=True)
+        found = table.tolist()
+    for i, chosen in enumerate(found):
         own = which.ravel() == i
         reference = world_of(plan.canonical["experiment"], axes, tuple(chosen))["reference"]
         for name in AXES:

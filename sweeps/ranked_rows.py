@@ -91,13 +91,15 @@ class SweepRows:
     def ranked(self, goal: SweepGoal | None = None) -> np.ndarray:
         """Places of the good rows, the best first."""
         goal = goal or self.goal
-        values = self.worst(goal.best)
-        cost = values if MEASURED[goal.best].ceiling else -values
-        order = np.argsort(cost, kind="stable")
+        cost = self._cost(goal)
+        places = np.flatnonzero(self.good(goal))
+        return places[np.argsort(cost[places], kind="stable")]
+
+    def good(self, goal: SweepGoal) -> np.ndarray:
+        """Whether each row is OK at every stiffness, keeps every constraint and has what ranks, (rows,)."""
         # A margin may be infinitely good.
-        good = (cost < np.inf) & self._within(goal)
-        places: np.ndarray = order[good[order]]
-        return places
+        good: np.ndarray = (self._cost(goal) < np.inf) & self._within(goal)
+        return good
 
     def best(self, n: int = 10, max_M_s: float | None = None) -> Self:
         """The best of the rows that keep the constraints.
@@ -128,6 +130,10 @@ class SweepRows:
     def status_counts(self) -> dict[str, int]:
         """How many (row, stiffness) pairs ended in each `Status`."""
         return {status.name: int((self["status"] == status).sum()) for status in Status}
+
+    def _cost(self, goal: SweepGoal) -> np.ndarray:
+        values = self.worst(goal.best)
+        return values if MEASURED[goal.best].ceiling else -values
 
     def _within(self, goal: SweepGoal) -> np.ndarray:
         good = self.ok

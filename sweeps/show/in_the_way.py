@@ -13,7 +13,7 @@ def in_the_way(result: Result, goal: SweepGoal) -> list[str]:
         result: The sweep.
         goal: Its own, or one with other limits.
     """
-    if len(result.ranked(goal)):
+    if result.good(goal).any():
         return []
     fine = np.flatnonzero(result.ok)
     told = f"{len(fine)} of {len(result)} rows are OK at every stiffness"
