@@ -1,10 +1,12 @@
-"""Threads and a process for what goes on beside the rest, such as compiling; who fails does not wait for them."""
+"""Threads and processes for what goes on beside the rest, such as compiling; who fails does not wait for them."""
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from multiprocessing import get_context, resource_tracker
+from contextlib import contextmanager
+from multiprocessing import forkserver, get_context, resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.context import BaseContext
 from types import TracebackType
 from typing import Any, Self
 
@@ -37,14 +39,8 @@ class Apart:
         context = get_context("spawn")
         self._answer, answer = context.Pipe(duplex=False)
         self._process = context.Process(target=_answered, args=(answer, function, arguments), daemon=True)
-        # Ctrl-C strikes every process of a terminal; this one inherits that it does not hear it, and is told to end.
-        # What looks after its memory goes first: to begin that lets this thread hear Ctrl-C again.
-        resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with _unheard():
             self._process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         answer.close()
 
     def __enter__(self) -> Self:
@@ -73,6 +69,31 @@ class Apart:
         if failed:
             raise found
         return found
+
+
+def forks_of(module: str) -> BaseContext:
+    """Have processes fork from one that has imported a module, which takes a core seconds; it begins with that now.
+
+    Args:
+        module: Its name; the same in every call.
+    """
+    context = get_context("forkserver")
+    context.set_forkserver_preload([module])
+    with _unheard():
+        forkserver.ensure_running()
+    return context
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Within it, processes begin that do not hear Ctrl-C, which strikes all of a terminal: they are told to end."""
+    # What looks after their memory goes first: to begin that lets this thread hear Ctrl-C again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _answered(answer: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:

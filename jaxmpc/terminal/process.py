@@ -40,6 +40,11 @@ def memory_as_needed() -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
+def may_have_a_gpu() -> bool:
+    """Whether JAX has a plugin for one, told before JAX is imported."""
+    return find_spec("jax_plugins") is not None
+
+
 def choose_untimed() -> None:
     """Have XLA choose among a GPU's algorithms by rule, unless the user has said otherwise; call before JAX computes.
 
@@ -47,7 +52,7 @@ def choose_untimed() -> None:
     slower without (docs/gpu.md). Only where JAX has a plugin for a GPU: programs are kept by these flags, too.
     """
     flags = os.environ.get("XLA_FLAGS", "")
-    if find_spec("jax_plugins") is not None and AUTOTUNING not in flags:
+    if may_have_a_gpu() and AUTOTUNING not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --{AUTOTUNING}=0".strip()
 
 

@@ -19,8 +19,8 @@ from jaxmpc.experiment.reference import Reference
 from jaxmpc.report.content import Table
 from jaxmpc.stability.family import family_margins, judged_where
 from tuning import trials
-from tuning.job.scenarios import RHYTHMS
-from tuning.trials import HARD, NOMINAL, Job, Outcomes, compute, drawn, on_own_tissues
+from tuning.job.scenarios import RHYTHMS, Scenarios
+from tuning.trials import HARD, NOMINAL, Job, Outcomes, Spread, compute, drawn, joined, on_own_tissues
 from tuning.trials.cli import _tables
 from tuning.trials.linear_margins import margins_table
 from tuning.trials.program import Met
@@ -88,8 +88,8 @@ def test_trials_are_on_the_tissues_of_an_experiment_that_has_its_own() -> None:
 def test_the_report_has_every_trial_and_the_worst_as_files() -> None:
     found = outcomes([[1.0, 3.0], [np.nan, 1.0], [2.0, 2.5]], [[0, 0], [2, 0], [0, 0]])
     asked = job(Params(), Params.published("cautious"))
-    trials = [asked.trial(i) for i in range(len(found.status))]
-    report = trials_report(asked, trials, ["text", "cautious"], found, Table(("controller",), [["text"]]))
+    told = Table(("controller",), [["text"]])
+    report = trials_report(asked, asked.drawn(0, len(found.status)), ["text", "cautious"], found, told)
     rows = report.rows
     assert rows is not None
     assert (len(rows), list(rows.tissues), rows.group) == (3, ["text", "cautious"], "controller")
@@ -168,6 +168,32 @@ def test_a_trial_depends_on_its_seed_and_number_alone() -> None:
     assert (one.motion, one.sensor) == (other.motion, other.sensor)
     assert one.stiffness != other.stiffness
     assert one.motion != next_block.motion
+
+
+@pytest.mark.parametrize(
+    ("changes", "spread"),
+    [
+        ({}, HARD),
+        ({"mass_error": 0.1, "nominal_coulomb": (0.0, 2.0, 1.0, 0.5)}, NOMINAL),
+        ({"cable_hz": 40.0, "cable_damping": 0.07}, Spread((400.0, 900.0), Scenarios(), substeps=2)),
+    ],
+    ids=["stress", "believed otherwise", "of the experiment"],
+)
+def test_what_sets_trials_apart_is_what_they_have(changes: dict[str, Any], spread: Spread) -> None:
+    """Numbers drawn without an experiment around them, against the experiments themselves, over two blocks' motions."""
+    base = Experiment.published("table-1-wam")
+    base = msgspec.structs.replace(base, arm=msgspec.structs.replace(base.arm, substeps=2, **changes))
+    asked = Job((Params(),), base, spread, seed=2)
+    first = drawn.BLOCK - 2
+    found = joined([asked.drawn(first, 3), asked.drawn(first + 3, drawn.POOL)])
+    for i, trial in enumerate(asked.trial(first + i) for i in range(3 + drawn.POOL)):
+        arm, motion = trial.arm, trial.motion
+        assert found.motion[i] == (f"{motion.rhythm}/{motion.ventilation}" if motion.kind == "rhythm" else motion.kind)
+        assert (found.motion_seed[i], found.delay[i]) == (motion.seed, trial.delay)
+        assert (found.stiffness[i], found.mass_error[i]) == (trial.stiffness[0], arm.mass_error)
+        assert (found.cable_hz[i], found.cable_damping[i]) == (arm.cable_hz, arm.cable_damping)
+        friction = [a / b if b else 1.0 for a, b in zip(arm.coulomb, arm.nominal_coulomb or (), strict=True)]
+        assert found.friction[i].tolist() == friction
 
 
 @pytest.mark.oracle

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import jax
 import msgspec
@@ -82,6 +82,38 @@ class Scenarios(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                     raise InputError(f"scenarios.{key}", value, "given on the arm only", remedy)
 
 
+class Draw(NamedTuple):
+    """How far the robot and tissue of one scenario lie from the experiment's."""
+
+    friction: np.ndarray
+    """Factor on Coulomb and viscous friction, (joints,) [-]."""
+    mass: float
+    """Factor on the true masses over the believed ones [-]."""
+    stiffness: float
+    """Factor on the tissue's [-]."""
+    delay: int
+    """Between command and effect [samples]."""
+    cable_hz: float
+    """Mode of the cables [Hz]."""
+
+
+def draw(base: Experiment, settings: Scenarios, seed: int) -> Draw:
+    """What a seed draws of robot and tissue, a hundredth of a scenario's work; on the arm alone they count."""
+    # Everything is drawn whether it is used or not, so that one half-width does not change what another draws.
+    *joints, mass, stiffness, delay, cable = random_of(seed, STREAM).uniform(-1.0, 1.0, 8).tolist()
+    chosen, cable_hz = settings.delays or (base.delay,), base.arm.cable_hz
+    if settings.cable_hz:
+        low, high = np.log(settings.cable_hz)
+        cable_hz = float(np.exp(low + (high - low) * 0.5 * (1.0 + cable)))
+    return Draw(
+        friction=1.0 + settings.friction * np.array(joints),
+        mass=1.0 + settings.mass * mass,
+        stiffness=1.0 + settings.stiffness * stiffness,
+        delay=chosen[int(0.5 * (1.0 + delay) * len(chosen)) % len(chosen)],
+        cable_hz=cable_hz,
+    )
+
+
 def scenario(base: Experiment, settings: Scenarios, seed: int) -> Experiment:
     """The experiment that a seed stands for; the same seed is the same scenario whatever else is drawn.
 
@@ -89,33 +121,29 @@ def scenario(base: Experiment, settings: Scenarios, seed: int) -> Experiment:
     heavier than believed means that the controller believes less, (1 + mass_error)/factor. What it compensates of
     friction stays what it believes of the nominal arm.
     """
-    random = np.random.Generator(np.random.Philox([seed, STREAM]))
-    # Everything is drawn whether it is used or not, so that one half-width does not change what another draws.
-    joints, mass, stiffness, delay, cable = np.split(random.uniform(-1.0, 1.0, 8), [4, 5, 6, 7])
     drawn = base.with_seed(seed)
     rhythm = settings.rhythms[seed % len(settings.rhythms)]
     drawn = msgspec.structs.replace(drawn, motion=_motion(drawn, rhythm, seed))
     if base.physics == "linear":
         return drawn
-    arm = base.arm
-    friction = 1.0 + settings.friction * joints
-    changes: dict[str, Any] = {
-        "coulomb": tuple((friction * arm.coulomb).tolist()),
-        "viscous": tuple((friction * arm.viscous).tolist()),
-        "mass_error": (1.0 + arm.mass_error) / (1.0 + settings.mass * float(mass[0])) - 1.0,
-        "nominal_coulomb": arm.nominal_coulomb or arm.coulomb,
-        "nominal_viscous": arm.nominal_viscous or arm.viscous,
-    }
-    if settings.cable_hz:
-        low, high = np.log(settings.cable_hz)
-        changes["cable_hz"] = float(np.exp(low + (high - low) * 0.5 * (1.0 + cable[0])))
-    tissue = base.tissue
+    own, arm, tissue = draw(base, settings, seed), base.arm, base.tissue
     if settings.stiffness:
-        softer = Change(0.0, 1.0 + settings.stiffness * float(stiffness[0]), 0.0)
-        tissue = msgspec.structs.replace(tissue, changes=(softer, *tissue.changes))
-    chosen = settings.delays or (base.delay,)
-    late = chosen[int(0.5 * (1.0 + float(delay[0])) * len(chosen)) % len(chosen)]
-    return msgspec.structs.replace(drawn, arm=msgspec.structs.replace(arm, **changes), tissue=tissue, delay=late)
+        tissue = msgspec.structs.replace(tissue, changes=(Change(0.0, own.stiffness, 0.0), *tissue.changes))
+    arm = msgspec.structs.replace(
+        arm,
+        coulomb=tuple((own.friction * arm.coulomb).tolist()),
+        viscous=tuple((own.friction * arm.viscous).tolist()),
+        mass_error=(1.0 + arm.mass_error) / own.mass - 1.0,
+        nominal_coulomb=arm.nominal_coulomb or arm.coulomb,
+        nominal_viscous=arm.nominal_viscous or arm.viscous,
+        cable_hz=own.cable_hz,
+    )
+    return msgspec.structs.replace(drawn, arm=arm, tissue=tissue, delay=own.delay)
+
+
+def random_of(seed: int, stream: int) -> np.random.Generator:
+    """Random numbers of a seed, apart from those of its other streams."""
+    return np.random.Generator(np.random.Philox([seed, stream]))
 
 
 def scenarios(base: Experiment, settings: Scenarios, seeds: Sequence[int]) -> list[Experiment]:

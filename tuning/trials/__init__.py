@@ -23,10 +23,22 @@ from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
 from jaxmpc.terminal.progress import progress
 from tuning.trials import drawn
 from tuning.trials.compute import outcomes_of
-from tuning.trials.drawn import HARD, MOST, NOMINAL, Job, Spread, motion_of, on_own_tissues
+from tuning.trials.drawn import HARD, MOST, NOMINAL, Drawn, Job, Spread, joined, motion_of, on_own_tissues
 from tuning.trials.outcomes import Outcomes
 
-__all__ = ["HARD", "MOST", "NOMINAL", "Job", "Outcomes", "Spread", "motion_of", "on_own_tissues", "run"]
+__all__ = [
+    "HARD",
+    "MOST",
+    "NOMINAL",
+    "Drawn",
+    "Job",
+    "Outcomes",
+    "Spread",
+    "joined",
+    "motion_of",
+    "on_own_tissues",
+    "run",
+]
 
 Told = Callable[[int, Outcomes], None]
 """Called with the first trial of a block and its outcomes, as soon as they are there."""

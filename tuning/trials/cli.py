@@ -3,6 +3,7 @@
 import argparse
 import sys
 import time
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,9 +11,8 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.terminal.arguments import engine_argument
 
 if TYPE_CHECKING:
-    from jaxmpc.experiment import Experiment
     from jaxmpc.report.content import Table
-    from tuning.trials import Job, Outcomes, Told
+    from tuning.trials import Drawn, Job, Outcomes, Told
 
 LISTED = 5
 """Worst trials told of each controller."""
@@ -54,13 +54,16 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.engine.scenario import program_spec
     from jaxmpc.files.outputs import check_folder
     from jaxmpc.terminal.arguments import experiment_from, name_and_place, params_from
-    from jaxmpc.terminal.process import use_all_cores
+    from jaxmpc.terminal.process import may_have_a_gpu, use_all_cores
     from jaxmpc.terminal.tables import show
 
     use_all_cores()
-    from jaxmpc.beside import Beside
+    from jaxmpc.beside import Beside, forks_of
+
+    if may_have_a_gpu():
+        forks_of("tuning.trials.compute")  # who makes what trials meet imports it beside this process
     from jaxmpc.xla.place import wake_beside
-    from tuning.trials import HARD, MOST, NOMINAL, Job, on_own_tissues
+    from tuning.trials import HARD, MOST, NOMINAL, Job, joined, on_own_tissues
     from tuning.trials import run as run_trials
     from tuning.trials.linear_margins import COLUMNS, TISSUES, margins_table
 
@@ -80,12 +83,12 @@ def run(args: argparse.Namespace) -> int:
     )
     print(_drawn_from(job), flush=True)
     began, tell = time.monotonic(), _teller(job, names)
-    trials: list[Experiment] = []
+    drawn: list[Drawn] = []
 
     def heard(first: int, found: "Outcomes") -> None:
         if args.out:
-            # Drawn once more block by block: all at the end would take a GPU's user longer than to run them.
-            trials.extend(job.trial(first + i) for i in range(len(found.status)))
+            # Block by block: all at the end would have a GPU's user wait.
+            drawn.append(job.drawn(first, len(found.status)))
         if not args.quiet:
             tell(first, found)
 
@@ -100,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
             print()
             show(f"linear margins, the worst of {TISSUES} tissues", COLUMNS, margins.result())
         if args.out:
-            _files(args.out, job, trials, names, found, verdicts)
+            _files(args.out, job, joined(drawn), names, found, verdicts)
     except BrokenPipeError:
         raise  # nobody reads what is told, which costs no block
     except OSError as error:
@@ -121,10 +124,12 @@ def _teller(job: "Job", names: list[str]) -> "Told":
 
     def tell(first: int, found: "Outcomes") -> None:
         nonlocal left
-        lines = list(failures(job, names, first, found))
+        if not left:
+            return
+        lines = list(islice(failures(job, names, first, found), left + 1))
         for line in lines[:left]:
             print(line, file=sys.stderr, flush=True)
-        if len(lines) > left > 0:
+        if len(lines) > left:
             print(
                 "… and more; the counts go on, and with -o every trial stands in trials.csv",
                 file=sys.stderr,
@@ -210,18 +215,16 @@ def _tables(job: "Job", names: list[str], found: "Outcomes") -> "Table":
     return verdicts_told
 
 
-def _files(
-    folder: Path, job: "Job", trials: "list[Experiment]", names: list[str], found: "Outcomes", verdicts: "Table"
-) -> None:
+def _files(folder: Path, job: "Job", drawn: "Drawn", names: list[str], found: "Outcomes", verdicts: "Table") -> None:
     from jaxmpc.report.page import write_report
     from tuning.trials.report import draws, ranked, trials_report, write_csv, write_trial
 
     written = [folder / "trials.csv", folder / "trials.html"]
-    write_csv(written[0], trials, names, found)
-    write_report(trials_report(job, trials, names, found, verdicts), written[1])
+    write_csv(written[0], drawn, names, found)
+    write_report(trials_report(job, drawn, names, found, verdicts), written[1])
     for which, c in (("worst", 0), ("worst-against", 1))[: len(names)]:
         i = ranked(found, c, 1)[0]
+        trial = job.trial(i)
         written.append(folder / f"{which}.toml")
-        note = f"Trial {i}, seed {job.seed}, the worst of {names[c]}: {draws(trials[i])}"
-        write_trial(written[-1], trials[i], note)
+        write_trial(written[-1], trial, f"Trial {i}, seed {job.seed}, the worst of {names[c]}: {draws(trial)}")
     print("written: " + ", ".join(map(str, written)))

@@ -12,8 +12,6 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import islice
 from math import prod
-from multiprocessing import get_context
-from multiprocessing.context import BaseContext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,6 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxmpc.beside import forks_of
 from tuning.trials.program import Met
 
 MEMORY = Path("/dev/shm")
@@ -39,7 +38,7 @@ def made_by_processes(make: Callable[[int], Met], firsts: Sequence[int]) -> Iter
     memory = MEMORY if MEMORY.is_dir() else None
     with (
         TemporaryDirectory(prefix="jaxmpc-", dir=memory) as folder,
-        ProcessPoolExecutor(cores, _context(), _as_a_maker) as pool,
+        ProcessPoolExecutor(cores, forks_of("tuning.trials.compute"), _as_a_maker) as pool,
     ):
         one = partial(_handed_over, make, Path(folder)) if memory else make
         ahead, waiting = iter(firsts), deque[tuple[int, Any]]()
@@ -52,13 +51,6 @@ def made_by_processes(make: Callable[[int], Met], firsts: Sequence[int]) -> Iter
             first, made = waiting.popleft()
             yield _taken(made.result(), Path(folder) / str(first))
             begin(1)
-
-
-def _context() -> BaseContext:
-    """Processes that fork from one which has imported all they need: importing takes a core two seconds."""
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["tuning.trials.compute"])
-    return context
 
 
 def _as_a_maker() -> None:

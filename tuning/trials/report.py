@@ -3,9 +3,8 @@
 import csv
 import io
 from collections.abc import Iterator, Sequence
-from math import nan
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from jaxmpc.report.content import Candidates, Chart, Detail, Mark, Measure, Repo
 from jaxmpc.report.influence import influence
 from jaxmpc.status import Status
 from tuning.job.scenarios import describe
-from tuning.trials.drawn import SETTLE, Job
+from tuning.trials.drawn import SETTLE, Drawn, Job
 from tuning.trials.outcomes import LARGEST_ERROR, Outcomes
 
 KEPT = 20
@@ -74,27 +73,31 @@ def failures(job: Job, names: Sequence[str], first: int, found: Outcomes) -> Ite
         yield f"trial {first + i}: {names[c]} {said}; {draws(job.trial(first + i))}"
 
 
-def write_csv(path: Path, trials: Sequence[Experiment], names: Sequence[str], found: Outcomes) -> None:
+def write_csv(path: Path, drawn: Drawn, names: Sequence[str], found: Outcomes) -> None:
     """Every trial a row: what was drawn, and what it did to each controller.
 
     Args:
         path: Where it goes.
-        trials: As they were drawn.
+        drawn: What sets each apart.
         names: Of the controllers.
         found: What happened.
     """
     vector = [f"{kind}_{axis} [N]" for kind in ("rms", "true_rms", "peak_error", "swing") for axis in AXES]
     each = ["lost", "left 2 N", "swinging", "status", "when [s]", "backed_off [s]", "spectral_radius [-]", *vector]
-    drawn = ["trial", "motion", "motion_seed", "stiffness [N/m]", "delay [samples]", "mass_error [-]"]
-    drawn += [f"friction_J{j} [-]" for j in range(1, 5)] + ["cable [Hz]", "cable_damping [-]"]
+    head = ["trial", "motion", "motion_seed", "stiffness [N/m]", "delay [samples]", "mass_error [-]"]
+    head += [f"friction_J{j} [-]" for j in range(1, 5)] + ["cable [Hz]", "cable_damping [-]"]
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(drawn + [f"{name}: {column}" for name in names for column in each])
+    rows.writerow(head + [f"{name}: {column}" for name in names for column in each])
+    cable = np.where(drawn.cable_hz != 0.0, [drawn.cable_hz, drawn.cable_damping], np.nan)
+    robots = np.column_stack([drawn.stiffness, drawn.mass_error, drawn.friction, *cable]).tolist()
+    words = zip(drawn.motion.tolist(), drawn.motion_seed.tolist(), drawn.delay.tolist(), robots, strict=True)
     verdicts = np.stack([found.lost, found.left, found.swinging], axis=-1).astype(int)
     scalars = np.stack([found.when, found.backed_off, found.spectral_radius], axis=-1)
     numbers = np.concatenate([scalars, found.rms, found.true_rms, found.peak_error, found.swing], axis=-1)
-    for i, trial in enumerate(trials):
-        row = [i, *_drawn(trial)]
+    for i, (motion, seed, delay, robot) in enumerate(words):
+        stiffness, *others = _short(*robot)
+        row = [i, motion, seed, stiffness, delay, *others]
         for c in range(len(names)):
             row += [*verdicts[i, c].tolist(), Status(int(found.status[i, c])).name, *_short(*numbers[i, c].tolist())]
         rows.writerow(row)
@@ -110,14 +113,12 @@ def write_trial(path: Path, trial: Experiment, comment: str) -> None:
     write_toml(path, data, comment)
 
 
-def trials_report(
-    job: Job, trials: Sequence[Experiment], names: Sequence[str], found: Outcomes, verdicts: Table
-) -> Report:
+def trials_report(job: Job, drawn: Drawn, names: Sequence[str], found: Outcomes, verdicts: Table) -> Report:
     """Every trial a row: what was drawn, and what it did to each controller.
 
     Args:
         job: Who met what.
-        trials: As they were drawn.
+        drawn: What sets each trial apart.
         names: Of the controllers, the one that is judged first.
         found: What happened.
         verdicts: How often which verdict fell.
@@ -125,7 +126,7 @@ def trials_report(
     count = len(found.status)
     shares = Section("Verdicts", [f"{count} trials on {job.spread.arms} arms."], [verdicts], _shares(names, found))
     lead = [f"{job.base.name}, seed {job.seed}, {job.base.duration:g} s each."]
-    return Report(f"Trials of {' against '.join(names)}", lead, _rows(job, trials, names, found), [shares], 1)
+    return Report(f"Trials of {' against '.join(names)}", lead, _rows(job, drawn, names, found), [shares], 1)
 
 
 def _shares(names: Sequence[str], found: Outcomes) -> list[Chart]:
@@ -146,21 +147,22 @@ def _shares(names: Sequence[str], found: Outcomes) -> list[Chart]:
     return charts
 
 
-def _rows(job: Job, trials: Sequence[Experiment], names: Sequence[str], found: Outcomes) -> Candidates:
+def _rows(job: Job, drawn: Drawn, names: Sequence[str], found: Outcomes) -> Candidates:
     """The trials as rows that can be explored; the controllers stand where tissues do elsewhere."""
-    columns: dict[str, tuple[str, str, list[float]]] = {
-        "stiffness": ("N/m", "stiffness of the tissue", [one.stiffness[0] for one in trials]),
-        "delay": ("samples", "between command and effect", [one.delay for one in trials]),
-        "mass_error": ("-", "of the masses believed", [one.arm.mass_error for one in trials]),
-        "cable": ("Hz", "mode of the cables", [one.arm.cable_hz for one in trials]),
-        "cable damping": ("-", "of that mode", [one.arm.cable_damping for one in trials]),
+    columns = {
+        "stiffness": ("N/m", "stiffness of the tissue", drawn.stiffness),
+        "delay": ("samples", "between command and effect", drawn.delay),
+        "mass_error": ("-", "of the masses believed", drawn.mass_error),
+        "cable": ("Hz", "mode of the cables", drawn.cable_hz),
+        "cable damping": ("-", "of that mode", drawn.cable_damping),
     }
-    for joint in range(4):
-        columns[f"friction J{joint + 1}"] = ("-", "true over believed", [_friction(one, joint) for one in trials])
-    drawn = [
-        Measure(name, name, unit, text, np.array(values, float), "parameter", whole=name == "delay")
+    for joint, factor in enumerate(drawn.friction.T):
+        columns[f"friction J{joint + 1}"] = ("-", "true over believed", factor)
+    count = len(drawn.delay)
+    parameters = [
+        Measure(name, name, unit, text, values.astype(float), "parameter", whole=name == "delay")
         for name, (unit, text, values) in columns.items()
-        if len(set(values)) > 1
+        if (values != values[0]).any()
     ]
     found_of = {
         "rms": found.rms,
@@ -174,37 +176,23 @@ def _rows(job: Job, trials: Sequence[Experiment], names: Sequence[str], found: O
     ]
     radius = measure(MARGINS["spectral_radius"], found.spectral_radius)
     lost = Measure("lost", "lost", "-", "1 where it was", found.lost.astype(float), "other", "ceiling", whole=True)
-    worst = list(dict.fromkeys(i for c in range(len(names)) for i in ranked(found, c, KEPT)))
+    chosen = dict.fromkeys(i for c in range(len(names)) for i in ranked(found, c, KEPT))
+    worst = [(i, job.trial(i)) for i in chosen]
     return Candidates(
-        names=[f"trial {i}" for i in range(len(trials))],
-        measures=[*drawn, *results, radius, lost],
+        names=[f"trial {i}" for i in range(count)],
+        measures=[*parameters, *results, radius, lost],
         status=found.status.astype(np.uint8),
         tissues=list(names),
         goals=("rms", "peak_error", "swing"),
         details={
-            i: Detail(toml=toml_text(trials[i].to_dict(), f"Trial {i}, seed {job.seed}: {draws(trials[i])}"))
-            for i in worst
+            i: Detail(toml=toml_text(trial.to_dict(), f"Trial {i}, seed {job.seed}: {draws(trial)}"))
+            for i, trial in worst
         },
         note=f"the {KEPT} worst trials of each controller, as experiments for `jaxmpc simulate`.",
-        influence=influence(drawn, results) if len(trials) > 1 else {},
+        influence=influence(parameters, results) if count > 1 else {},
         group="controller",
         file="trial.toml",
     )
-
-
-def _friction(trial: Experiment, joint: int) -> float:
-    arm = trial.arm
-    true, nominal = arm.coulomb[joint], (arm.nominal_coulomb or arm.coulomb)[joint]
-    return true / nominal if nominal else 1.0
-
-
-def _drawn(trial: Experiment) -> list[Any]:
-    motion, arm = trial.motion, trial.arm
-    name = motion.kind if motion.kind != "rhythm" else f"{motion.rhythm}/{motion.ventilation}"
-    friction = [_friction(trial, joint) for joint in range(4)]
-    cable = (arm.cable_hz, arm.cable_damping) if arm.cable_hz else (nan, nan)
-    stiffness, *others = _short(trial.stiffness[0], arm.mass_error, *friction, *cable)
-    return [name, motion.seed, stiffness, trial.delay, *others]
 
 
 def _short(*values: float) -> list[str]:
