@@ -1,5 +1,6 @@
 """The whole arm's linear loop against that of one axis, central differences, modes by scipy, and simulated trials."""
 
+import os
 from dataclasses import replace
 from typing import Any
 
@@ -128,6 +129,18 @@ def test_free_modes_are_those_of_masses_and_springs() -> None:
 
 def test_a_matrix_without_a_number_counts_as_unstable() -> None:
     np.testing.assert_array_equal(radii(np.array([[[0.5]], [[-2.0]], [[np.nan]]])), [0.5, 2.0, np.inf])
+
+
+def test_many_radii_are_those_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By several threads, none of which sees another's; in the form they are given."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(3))
+    matrices = np.random.default_rng(0).normal(size=(7, 50, 4, 4))
+    matrices[3, 20, 1, 2] = np.inf
+    found = radii(matrices)
+    assert found.shape == (7, 50)
+    for place in np.ndindex(7, 50):
+        assert found[place] == radii(matrices[place])
+    assert found[3, 20] == np.inf
 
 
 def test_one_controller_and_one_tissue_each() -> None:
