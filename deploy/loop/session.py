@@ -26,6 +26,7 @@ from deploy.safety.clamp import Clamp
 from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import SafetyState
 from deploy.safety.posture import displaced
+from deploy.safety.puck_caps import within_caps
 from deploy.wam.arm import WamArm
 from deploy.wam.dialogue import Clock, Dialogue
 from deploy.wam.startup import OTHERS, startup
@@ -67,7 +68,8 @@ class Session:
         Raises:
             InputError: The artifact drives no arm, or not at this rate.
             BusError: The arm does not answer as it must.
-            CalibrationError: It says what cannot be right, stands elsewhere, or the sensor is not still.
+            CalibrationError: It says what cannot be right, gives too little torque, stands elsewhere, or the sensor is
+                not still.
         """
         runtime = arm_runtime(artifact)
         model = artifact.arm
@@ -78,6 +80,9 @@ class Session:
         self.artifact, self._clock, self._options = artifact, clock, options
         sensor = Mounted(options.sensor, options.mount)
         self.arm = startup(bus, clock, sensor, home=options.home, report=report)
+        limits, less = within_caps(model.limits, self.arm.pucks.caps)
+        if less:
+            report(less)
         if where := displaced(self.arm.pucks.angles(self.arm.counts), model.posture):
             raise CalibrationError(f"{where}: carry the arm there by hand, idle, then start again")
         if options.tare:
@@ -89,7 +94,7 @@ class Session:
         self.cycle = Cycle(
             self.arm,
             self.controller,
-            model.limits,
+            limits,
             artifact.T_s,
             model.tool_length,
             tip_kinematics(model.chain),

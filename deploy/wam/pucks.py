@@ -123,6 +123,11 @@ class Pucks:
         """Torque units per N m of the motors 1 to 4."""
         return tuple(info.units_per_torque for info in self.infos)
 
+    @property
+    def caps(self) -> tuple[float, ...]:
+        """Torques at which the pucks of the motors 1 to 4 cut [N m]."""
+        return tuple(info.largest_torque / info.units_per_torque for info in self.infos)
+
     def number(self, name: str) -> int:
         """Number of a property that is the same in all pucks, as that of P, T and MODE."""
         return self.infos[0].number(name)
