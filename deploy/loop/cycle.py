@@ -33,7 +33,7 @@ from jaxmpc.law.vectors import Vector3, Vector4
 
 ZERO: Vector4 = (0.0, 0.0, 0.0, 0.0)
 SETTLED = 0.5
-"""Time in contact [s] after which the observers' innovation judges the sensor."""
+"""Time in contact [s] after which the observers' innovation judges the sensor, and the push an end by the operator."""
 ASTRAY = 2.0
 """How far the force in contact never is from that which is wanted [N]: premature beats bring it to 1.4 N, a sensor with
 a wrong sign passes it within some milliseconds."""
@@ -162,7 +162,10 @@ class Cycle:
             push = self.controller.push
             asked = push(self.controller.force_ref) + push(runtime.dither)
             self.pushes = pushed(self.pushes, asked, push(force))
-        if command.finish is Reason.FINISHED and self.pushes.beyond(self.limits.overshoot):
+        # Who ends it says nothing of how hard the tip has pressed; a contact that was hardly made, neither.
+        ended = command.finish is Reason.FINISHED
+        ended = ended or (command.finish is Reason.OPERATOR and self.controller.contact_time > SETTLED)
+        if ended and self.pushes.beyond(self.limits.overshoot):
             command = command._replace(finish=Reason.OVERSHOOT)
         observed = Observations(
             hazard,

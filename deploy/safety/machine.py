@@ -125,6 +125,8 @@ _TASKS = {
 
 _SILENCING = frozenset({Reason.E_STOP, Reason.BUS_OFF, Reason.BUS_ERROR, Reason.STALLED})
 """Why pucks fall silent, where it is told after they did: a likelier cause than that all were lost."""
+_ASKED = frozenset({Reason.FINISHED, Reason.OPERATOR})
+"""Why a run ends that went well."""
 _UNHURT = frozenset({Reason.FINISHED, Reason.OPERATOR, Reason.OVERSHOOT, Reason.NO_CONTACT})
 """Why the arm withdraws though no limit was passed."""
 _PATIENCE = {OperatingState.IDLE: IDLE_PATIENCE, OperatingState.ARMED: ARMED_PATIENCE}
@@ -198,7 +200,7 @@ def _next(now: SafetyState, observed: Observations) -> tuple[OperatingState, Rea
         return (OperatingState.RETRACT, Reason.NO_CONTACT) if observed.travelled else (state, reason)
     if state is OperatingState.RETRACT and reason in _UNHURT and observed.doubt is Reason.FORCE:
         return state, Reason.FORCE  # a beat met the tip on its way out
-    if state is OperatingState.RETRACT and reason is Reason.FINISHED and observed.finish is Reason.OVERSHOOT:
+    if state is OperatingState.RETRACT and reason in _ASKED and observed.finish is Reason.OVERSHOOT:
         return state, Reason.OVERSHOOT  # the same, below the limit
     if state is OperatingState.RETRACT and observed.travelled:
         return OperatingState.STOPPED, reason

@@ -9,11 +9,12 @@ from deploy.controller.runtimes import arm_runtime
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import Mounted
 from deploy.loop.control import Contacting, TaskController
-from deploy.loop.cycle import ASTRAY, Cycle, OperatorCommand
+from deploy.loop.cycle import ASTRAY, SETTLED, Cycle, OperatorCommand
 from deploy.loop.hazards import CycleTiming
 from deploy.reference.sources import ConstantForce
 from deploy.safety.checker import Strictness
 from deploy.safety.machine import BRIDGED, OperatingState, SafetyState, Task
+from deploy.safety.overshoot import Pushes
 from deploy.safety.reasons import Reason
 from deploy.wam.arm import WamArm
 from deploy.wam.pucks import PuckInfo, Pucks
@@ -95,6 +96,24 @@ def test_a_force_far_from_the_wanted_one_ends_contact(standing, turns):
     away = (0.0, 0.6, -1.0), (0.0, 1.2, -1.0), (0.0, 1.8, -1.0)
     assert [ends(made(force)) for force in away] == [(OperatingState.CONTACT, Reason.NONE)] * 3
     assert ends(made((0.0, ASTRAY + 0.1, -1.0))) == (OperatingState.RETRACT, Reason.FORCE_MODEL)
+
+
+@pytest.mark.parametrize("state", [OperatingState.CONTACT, OperatingState.RETRACT])
+@pytest.mark.parametrize("by", [Reason.FINISHED, Reason.OPERATOR])
+def test_whoever_ends_a_run_is_told_of_a_push_much_beyond_the_wanted_one(standing, state, by):
+    def ended(measured, since=2.0):
+        made = standing(OperatingState.CONTACT)
+        made((0.0, 0.0, -1.0))
+        made.cycle.controller._samples = round(since / T_S)
+        made.cycle.safety_state = SafetyState(state, by if state is OperatingState.RETRACT else Reason.NONE)
+        made.cycle.pushes = Pushes(5.0, measured)
+        result = made((0.0, 0.0, -1.0), command=GO._replace(finish=by))
+        return ends(result)
+
+    assert ended(5.99) == (OperatingState.RETRACT, by)
+    assert ended(6.01) == (OperatingState.RETRACT, Reason.OVERSHOOT)
+    # On stiff tissue a contact that is being made reads 0.66 N more than is wanted yet.
+    assert ended(6.01, since=SETTLED) == (OperatingState.RETRACT, by if by is Reason.OPERATOR else Reason.OVERSHOOT)
 
 
 def test_what_was_found_to_lie_is_not_made_good_by_torque(standing):

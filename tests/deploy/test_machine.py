@@ -85,14 +85,15 @@ def test_a_force_beyond_the_limit_on_the_way_out_is_no_good_end(reason):
     assert step(before, READY._replace(doubt=Reason.FORCE)).reason is Reason.FORCE_LOST
 
 
-def test_a_push_much_beyond_the_wanted_one_on_the_way_out_is_told():
+@pytest.mark.parametrize("reason", [Reason.FINISHED, Reason.OPERATOR])
+def test_a_push_much_beyond_the_wanted_one_on_the_way_out_is_told(reason):
     more = READY._replace(finish=Reason.OVERSHOOT)
-    now = step(SafetyState(OperatingState.RETRACT, Reason.FINISHED), more)
+    now = step(SafetyState(OperatingState.RETRACT, reason), more)
     assert (now.state, now.reason, task_of(now, 0)) == (OperatingState.RETRACT, Reason.OVERSHOOT, Task.RETRACT)
     assert step(now, READY._replace(doubt=Reason.FORCE)).reason is Reason.FORCE
     # What ended contact otherwise stays told.
-    for reason in (Reason.OPERATOR, Reason.FORCE_LOST):
-        assert step(SafetyState(OperatingState.RETRACT, reason), more).reason is reason
+    for other in (Reason.NO_CONTACT, Reason.FORCE_LOST):
+        assert step(SafetyState(OperatingState.RETRACT, other), more).reason is other
 
 
 def test_a_touch_must_last():
