@@ -166,7 +166,7 @@ def options(args: argparse.Namespace, artifact: "Artifact") -> "Options":
         from_text(args.reference, rate=args.rate, largest=largest_wanted(artifact)),
         rate=args.rate,
         contacting=contacting,
-        sensor=CanSensor() if kind == "can" else Jr3(open_comedi(device or "/dev/comedi0")),
+        sensor=CanSensor(T_s=artifact.T_s) if kind == "can" else Jr3(open_comedi(device or "/dev/comedi0")),
         mount=_mount(args.mount),
         turns=args.sensor_frame == "tool",
         tare=not args.no_tare,

@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from deploy.durations import cycles
 from deploy.force.sensor import Wrench
 from deploy.puck.codec import FORCE_READING, GROUPS, SENSOR, decode, get, set_value
 from deploy.puck.frame import Frame
@@ -10,8 +11,8 @@ from jaxmpc.law.vectors import Vector3
 
 FORCE_ID: Final = GROUPS["force"] | SENSOR << 5
 MOMENT_ID: Final = GROUPS["moment"] | SENSOR << 5
-DOUBT: Final = 20
-"""Cycles after a missing answer in which it may still come, as late as it likes."""
+DOUBT: Final = 0.02
+"""Time after a missing answer in which it may still come [s]."""
 
 
 class CanSensor:
@@ -25,13 +26,15 @@ class CanSensor:
         doubtful: Cycles in which two different forces came.
     """
 
-    def __init__(self, reading: int = FORCE_READING) -> None:
+    def __init__(self, reading: int = FORCE_READING, T_s: float = 1e-3) -> None:
         """A sensor at node 8.
 
         Args:
             reading: Number of its property FT.
+            T_s: Time between two questions [s].
         """
         self.malformed = self.doubtful = 0
+        self._doubtful = cycles(DOUBT, T_s)
         self._request = (get(SENSOR, reading),)
         self._tare = (set_value(SENSOR, reading, 0),)
         self._force: ForceReply | None = None
@@ -45,7 +48,7 @@ class CanSensor:
 
     def request(self) -> tuple[Frame, ...]:
         """The question for a reading; one that is still missing is from now on late."""
-        self._doubt = max(self._doubt - 1, 0) if self._forces else DOUBT
+        self._doubt = max(self._doubt - 1, 0) if self._forces else self._doubtful
         self._force, self._moment_came, self._forces = None, False, 0
         return self._request
 

@@ -115,7 +115,7 @@ class Cycle:
         """
         pucks = arm.pucks
         self.arm, self.controller, self.limits = arm, controller, limits
-        self.safety_state = SafetyState()
+        self.safety_state, self._waits = SafetyState(), machine.patience(T_s)
         self.checker = Checker(limits, T_s, pucks.ipnm, (1, 2, 3, 4), tool_length, pucks.number("T"))
         self._bounds = bounds(limits, T_s, pucks.ipnm)
         self._turns, self._hook, self._T_s, self._tip_kinematics = turns, hook, T_s, tip_kinematics
@@ -178,13 +178,13 @@ class Cycle:
             self.controller.travelled(kinematics.tip),
             *command,
         )
-        self.safety_state = machine.step(self.safety_state, observed)
+        self.safety_state = machine.step(self.safety_state, observed, self._waits)
         return self._send(q, qd, kinematics, force, age)
 
     def _send(self, q: Vector4, qd: Vector4, kinematics: TipKinematics, force: Vector3 | None, age: int) -> CycleResult:
         """Result with the frame of the task, or of the lesser task that a refusal leads to."""
         while True:
-            task = machine.task_of(self.safety_state, age)
+            task = machine.task_of(self.safety_state, age, self._waits)
             if self.safety_state.reason is Reason.FORCE_MODEL:
                 force = None  # what was found to lie must not be made good by torque
             wanted = self.controller.torque(
@@ -197,8 +197,8 @@ class Cycle:
             if refusal is None or not drive:
                 break
             refused = Observations(hazard=refusal) if refusal.lets_go else Observations(danger=refusal)
-            self.safety_state = machine.step(self.safety_state, refused)
-            if machine.task_of(self.safety_state, age) is task:
+            self.safety_state = machine.step(self.safety_state, refused, self._waits)
+            if machine.task_of(self.safety_state, age, self._waits) is task:
                 self.safety_state = SafetyState(
                     OperatingState.FAULT, Reason.STATE, f"{task} was refused: {refusal}", let_go=True
                 )

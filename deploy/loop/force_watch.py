@@ -59,7 +59,7 @@ class ForceWatch:
         if state is not OperatingState.CONTACT:
             return found
         self._runaway, runaway = runaway_step(self._runaway, self._controller.runtime.last_a)
-        self._late, late = late_step(self._late, self._controller.runtime.lag)
+        self._late, late = late_step(self._late, self._controller.runtime.lag, self._T_s)
         too_deep = self._controller.depth(sample.kinematics.tip) > self._deepest
         return runaway or late or (Reason.FORCE_MODEL if too_deep else found)
 

@@ -2,20 +2,21 @@
 
 from typing import NamedTuple
 
+from deploy.durations import cycles
 from deploy.safety import machine
 from deploy.safety.reasons import Reason
-from deploy.wam.arm import WamArm
+from deploy.wam.arm import POLL_EVERY, WamArm
 from deploy.wam.reading import Reading
 
-FOREIGN, FOREIGN_CYCLES = 4, 2
-"""Foreign frames in a cycle, so many cycles in a row, that are a babbling node: half of what a full bus can hold."""
-SILENT = 100
-"""Cycles without a word of the safety module, which is asked every ten."""
-UNANSWERED = 25
-"""Cycles without a word of the safety module in which it was asked at least twice."""
+FOREIGN, FOREIGN_CYCLES = 4000.0, 2
+"""Foreign frames a second, so many cycles in a row, that are a babbling node: half of what a full bus can hold."""
+SILENT, QUESTIONS = 0.1, 10
+"""Time without a word of the safety module [s], and the fewest questions: it is asked by every second poll."""
+UNANSWERED = 5
+"""Polls without a word of the safety module: it was asked at least twice."""
 NOBODY = "nobody answers, nor does the safety module: the bus is cut, or what answers on it stands still or is late"
-LATELY = 1000
-"""Cycles for which lateness explains replies that do not come."""
+LATELY = 1.0
+"""Time for which lateness explains replies that do not come [s]."""
 CHANGING = 0.2
 """Time after an activation in which pucks may still report their old mode [s]."""
 
@@ -47,7 +48,11 @@ class Hazards:
         """
         self._arm, self._T_s, self.lately = arm, T_s, False
         self._foreign, self._hosts, self._busy = arm.bus.counters.foreign, arm.bus.counters.hosts, 0
-        self._late, self._late_at, self._active = arm.late, -LATELY, 0
+        self._lately = cycles(LATELY, T_s)
+        self._late, self._late_at, self._active = arm.late, -self._lately, 0
+        polls = cycles(POLL_EVERY, T_s)
+        self._babble = cycles(FOREIGN, 1.0 / T_s)
+        self._silent, self._unanswered = cycles(SILENT, T_s, 2 * QUESTIONS * polls), UNANSWERED * polls
 
     @property
     def active(self) -> bool:
@@ -65,7 +70,7 @@ class Hazards:
         arm = self._arm
         if timing.missed or timing.late or arm.late > self._late:
             self._late, self._late_at = arm.late, arm.cycle
-        self.lately = arm.cycle - self._late_at < LATELY
+        self.lately = arm.cycle - self._late_at < self._lately
         if timing.hazard is not Reason.NONE:
             return timing.hazard, ""
         reason, detail = self._of_bus()
@@ -77,9 +82,9 @@ class Hazards:
         if was_active and not self._active:
             return Reason.IDLE, ""
         if youngest >= machine.BRIDGED and not self.lately:
-            nobody = reading.safety_age > UNANSWERED and reading.force_age >= machine.BRIDGED
+            nobody = reading.safety_age > self._unanswered and reading.force_age >= machine.BRIDGED
             return Reason.POSITION_LOST, NOBODY if nobody else "no puck answers, as after an e-stop"
-        if reading.safety_age > SILENT and arm.cycle > SILENT:
+        if reading.safety_age > self._silent and arm.cycle > self._silent:
             return Reason.PENDANT_FAULT, "the safety module is silent"
         if reading.pendant is not None and (faults := reading.pendant.faults):
             return Reason.PENDANT_FAULT, ", ".join(faults)
@@ -92,7 +97,7 @@ class Hazards:
         if bus.state != "active":
             return Reason.BUS_OFF if bus.state == "off" else Reason.BUS_ERROR, ""
         foreign = bus.counters.foreign
-        self._busy = self._busy + 1 if foreign - self._foreign >= FOREIGN else 0
+        self._busy = self._busy + 1 if foreign - self._foreign >= self._babble else 0
         self._foreign = foreign
         if self._busy >= FOREIGN_CYCLES:
             return Reason.BUS_LOAD, "frames of a stranger fill the bus"

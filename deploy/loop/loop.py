@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from deploy.durations import cycles
 from deploy.flight.recorder import FlightRecorder
 from deploy.loop.cycle import Cycle, CycleResult, OperatorCommand
 from deploy.loop.hazards import CycleTiming
@@ -16,7 +17,7 @@ from deploy.loop.statistics import Statistics
 from deploy.puck.frame import Frame
 from deploy.safety.checker import check_service
 from deploy.safety.clamp import Clamp
-from deploy.safety.machine import HELD, OperatingState, SafetyState, Task
+from deploy.safety.machine import OperatingState, SafetyState, Task, patience
 from deploy.safety.reasons import Reason
 from deploy.wam.dialogue import Clock
 from deploy.wam.reading import Reading
@@ -29,8 +30,8 @@ LETTING_GO = 0.05
 """How long zero torque and idle are repeated at the end [s]: a frame can be lost."""
 INSISTING = 0.85
 """How much longer there is for an order to idle where the bus has taken none [s]: a run ends within a second."""
-IDLE_EVERY = 10
-"""Cycles between two orders to idle."""
+IDLE_EVERY = 0.01
+"""Time between two orders to idle [s]."""
 STATES, REASONS = tuple(OperatingState), tuple(Reason)
 """What the recorder's numbers stand for."""
 
@@ -97,6 +98,7 @@ class Loop:
         self._recorder, self._watchdog, self._each, self._log = recorder, watchdog, each, log
         self.statistics = Statistics(period)
         self._contact = 0
+        self._held, self._idle_every = patience(1e-9 * period).held, cycles(IDLE_EVERY, 1e-9 * period)
         # Whether pucks may be driven, as far as the bus has taken frames; and whether any order to idle was tried.
         self._on = self._ordered = False
 
@@ -150,8 +152,8 @@ class Loop:
         """
         arm = self._cycle.arm
         zero = arm.torque_frame((0.0, 0.0, 0.0, 0.0))
-        cycles = round((LETTING_GO + INSISTING) * 1e9 / self._period)
-        for i in range(cycles):
+        count = round((LETTING_GO + INSISTING) * 1e9 / self._period)
+        for i in range(count):
             insisting = i * self._period >= LETTING_GO * 1e9
             if insisting and not self._on:
                 return
@@ -159,9 +161,9 @@ class Loop:
             arm.bus.drain()
             if arm.bus.state == "active":
                 self._hand_over(zero)
-                if i % IDLE_EVERY == 0:
+                if i % self._idle_every == 0:
                     self._idle()
-            elif i == cycles - 1 or not self._ordered:
+            elif i == count - 1 or not self._ordered:
                 self._idle()
             if self._watchdog is not None and not insisting:
                 self._watchdog.beat(self._clock.now(), self._on)
@@ -169,7 +171,8 @@ class Loop:
     def _send(self, result: CycleResult, woke: int) -> None:
         arm, frame = self._cycle.arm, result.frame
         # Stopped between measuring and sending, this cycle must not act on what is old by now.
-        if self._clock.now() - woke > HELD * self._period or (self._watchdog is not None and self._watchdog.fired):
+        stale = self._clock.now() - woke > self._held * self._period
+        if stale or (self._watchdog is not None and self._watchdog.fired):
             frame = arm.torque_frame((0.0, 0.0, 0.0, 0.0))
         off, now = result.task is Task.OFF, result.safety_state
         self._on = self._on or not off
@@ -178,7 +181,7 @@ class Loop:
         if not refused:
             self._hand_over(frame)
         # An undriven puck left in torque mode would go on with the last command it heard.
-        due = now.cycles % IDLE_EVERY == 0 and not (refused and now.cycles > IDLE_EVERY)
+        due = now.cycles % self._idle_every == 0 and not (refused and now.cycles > self._idle_every)
         if off and now.state is OperatingState.FAULT and due:
             self._idle()
 
@@ -200,7 +203,7 @@ class Loop:
     def _judged(self, woke: int, missed: int) -> Reason:
         """Reason of the clock or the watchdog to stop, once the replies are there."""
         now = self._clock.now()
-        if missed > HELD or now - woke > HELD * self._period:
+        if missed > self._held or now - woke > self._held * self._period:
             return Reason.STALLED
         if self._watchdog is not None:
             if self._watchdog.fired:

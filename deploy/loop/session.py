@@ -79,7 +79,7 @@ class Session:
             raise InputError("rate", f"{options.hz:g} Hz", f"{1.0 / artifact.T_s:g} Hz, the controller's own", remedy)
         self.artifact, self._clock, self._options = artifact, clock, options
         sensor = Mounted(options.sensor, options.mount)
-        self.arm = startup(bus, clock, sensor, home=options.home, report=report)
+        self.arm = startup(bus, clock, sensor, home=options.home, report=report, T_s=artifact.T_s)
         limits, less = within_caps(model.limits, self.arm.pucks.caps)
         if less:
             report(less)

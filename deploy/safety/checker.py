@@ -17,8 +17,8 @@ from jaxmpc.law.vectors import Vector3, Vector4
 
 PACKED, TORQUE, WIDTH = 0x401, 42, 14
 """Identifier of the packed torque, its property in newer firmware, bits of a value (wam.md §3.1–3.3)."""
-CONTROL_AGE, HOLD_AGE = 2, 20
-"""Oldest positions on which to control, and on which to hold the arm [cycles]."""
+CONTROL_AGE, HOLD_AGE = 2, 0.02
+"""Oldest positions on which to control [cycles], and on which to hold the arm [s]."""
 MODE, FORCE_TARE = 8, 54
 SENSOR, SAFETY_MODULE, ALL_PUCKS, WAM = 8, 10, 0x400, 0x404
 
@@ -29,7 +29,7 @@ class Strictness(StrEnum):
     CONTROL = "control"
     """The law drives: everything is checked."""
     SAFE = "safe"
-    """The arm is braked, held or withdrawn: torques, their rate, and that angles are finite and at most 20 cycles old.
+    """The arm is braked, held or withdrawn: torques, their rate, and that angles are finite and at most 20 ms old.
     Where the arm is, how fast, and the force refuse nothing: it could not be held where a limit was left."""
     OFF = "off"
     """Nothing drives: only zero torque passes, from any torque at once."""
@@ -75,6 +75,7 @@ class Checker:
         self.torque: Vector4 = (0.0, 0.0, 0.0, 0.0)
         self._lsb = tuple(1.0 / units for units in ipnm)
         self._shift = tuple(WIDTH * (4 - place) for place in pidx)
+        self._hold_age = max(round(HOLD_AGE / T_s), CONTROL_AGE)
         self._step = tuple(rate * T_s for rate in limits.torque_rate)
         self._motion = kinematics(tool_length)
         self._first = 0x80 | torque_property
@@ -143,7 +144,7 @@ class Checker:
         return None
 
     def _position_reason(self, strictness: Strictness, q: Vector4, qd: Vector4, position_age: int) -> Reason | None:
-        if not 0 <= position_age <= HOLD_AGE:
+        if not 0 <= position_age <= self._hold_age:
             return Reason.POSITION_LOST
         if strictness is Strictness.CONTROL and position_age > CONTROL_AGE:
             return Reason.POSITION_OLD

@@ -13,13 +13,14 @@ no harm.
 from math import tanh
 from typing import NamedTuple
 
+from deploy.durations import cycles
 from deploy.safety.force_estimate import BANDWIDTH
 from deploy.safety.hidden_push import SLOW, MotionSums, gathered, hidden_push
 from deploy.safety.reasons import Reason
 from jaxmpc.law.vectors import Vector3
 
-LEARNED_FROM, LEARNED_TO = 200, 400
-"""Cycles of an approach in which the air is learned: later ones may already press on what the sensor does not tell."""
+LEARNED_FROM, LEARNED_TO = 0.2, 0.4
+"""Time of an approach in which the air is learned [s]: later it may press on what the sensor hides."""
 UNLEARNED = 3.0
 """Push in the air where contact came before it was learned [N]; seen: 1.4 to 2.3 N, with twice the friction too."""
 PUSH = 5.0
@@ -41,8 +42,12 @@ class BalanceState(NamedTuple):
     """Measured force, made as slow as the estimate [N]."""
     push: float = 0.0
     """Push beyond it that the motors tell of [N]."""
-    cycles: int = 0
-    """How long the approach has lasted."""
+    approached: int = 0
+    """Samples of the approach."""
+    samples: int = 0
+    """Those in which the air was learned."""
+    known: bool = False
+    """Whether it has been learned."""
     learned: float = 0.0
     """Sum of the push in the air [N]."""
     slip: float = 0.0
@@ -57,16 +62,14 @@ class BalanceState(NamedTuple):
     @property
     def air(self) -> float:
         """Push that the motors tell of in the air [N]."""
-        if self.cycles < LEARNED_TO:
-            return UNLEARNED
-        return self.learned / (LEARNED_TO - LEARNED_FROM)
+        return self.learned / self.samples if self.known else UNLEARNED
 
     @property
     def hidden(self) -> float:
         """Push that the sensor hides, without friction [N]; 0 where it cannot be told."""
-        if self.cycles < LEARNED_TO:
+        if not self.known:
             return 0.0
-        return hidden_push(self.sums, self.learned_slip / (LEARNED_TO - LEARNED_FROM), self.air) or 0.0
+        return hidden_push(self.sums, self.learned_slip / self.samples, self.air) or 0.0
 
 
 def balance_step(
@@ -101,9 +104,11 @@ def balance_step(
     slip = state.slip + share * (tanh(_dot(normal, velocity) / SLOW) - state.slip)
     state = state._replace(reading=reading, push=push, slip=slip)
     if approaching:
-        if LEARNED_FROM <= state.cycles < LEARNED_TO:
-            state = state._replace(learned=state.learned + push, learned_slip=state.learned_slip + slip)
-        state = state._replace(cycles=state.cycles + 1)
+        first, last = cycles(LEARNED_FROM, T_s, 0), cycles(LEARNED_TO, T_s)
+        if first <= state.approached < last:
+            learned, learned_slip = state.learned + push, state.learned_slip + slip
+            state = state._replace(samples=state.samples + 1, learned=learned, learned_slip=learned_slip)
+        state = state._replace(approached=state.approached + 1, known=state.approached + 1 >= last)
     else:
         state = state._replace(sums=gathered(state.sums, slip, push, T_s))
     beyond = push - state.air > PUSH or aside > ASIDE or state.hidden > HIDDEN

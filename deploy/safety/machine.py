@@ -12,18 +12,20 @@ by how far they have asked the tip to go, CONTACT by the run's duration.
 from enum import StrEnum
 from typing import NamedTuple
 
+from deploy.durations import cycles
 from deploy.safety.reasons import Reason
 
 BRIDGED = 2
-"""Age of a position up to which it still controls, extrapolated [cycles]."""
-HELD = 20
-"""Age up to which gravity is still compensated at the last positions [cycles]; beyond it the arm is let go."""
-IDLE_PATIENCE = 500
-"""Cycles in IDLE after which no arming is to be hoped for: a healthy arm tells all its positions in the first."""
-ARMED_PATIENCE = 600_000
-"""Cycles for which the pendant and the operator are waited for, ten minutes at 1 kHz."""
+"""Age of a position up to which it still controls, extrapolated [cycles]: samples that the law steps over, however long
+they last."""
+HELD = 0.02
+"""Age up to which gravity is still compensated at the last positions [s]; beyond it the arm is let go."""
+IDLE_PATIENCE = 0.5
+"""Time in IDLE after which no arming is to be hoped for [s]: a healthy arm tells all its positions at once."""
+ARMED_PATIENCE = 600.0
+"""Time for which the pendant and the operator are waited for [s]."""
 CONTACT_CYCLES = 3
-"""Cycles in a row above the contact threshold that make a contact."""
+"""Cycles in a row above the contact threshold that make a contact: noise, which is new in each, passes it in one."""
 BRAKES = frozenset(
     {
         *(Reason.JOINT_VELOCITY, Reason.TIP_VELOCITY, Reason.ELBOW_VELOCITY, Reason.WORKSPACE),
@@ -45,6 +47,24 @@ class OperatingState(StrEnum):
     RETRACT = "retract"
     STOPPED = "stopped"
     FAULT = "fault"
+
+
+class Patience(NamedTuple):
+    """What is waited for, in cycles of a controller."""
+
+    held: int
+    """Age of positions up to which the arm's weight is borne."""
+    idle: int
+    armed: int
+
+
+def patience(T_s: float) -> Patience:
+    """How long is waited.
+
+    Args:
+        T_s: Time between two cycles [s].
+    """
+    return Patience(cycles(HELD, T_s, BRIDGED), cycles(IDLE_PATIENCE, T_s), cycles(ARMED_PATIENCE, T_s))
 
 
 class Task(StrEnum):
@@ -129,17 +149,17 @@ _ASKED = frozenset({Reason.FINISHED, Reason.OPERATOR})
 """Why a run ends that went well."""
 _UNHURT = frozenset({Reason.FINISHED, Reason.OPERATOR, Reason.OVERSHOOT, Reason.NO_CONTACT})
 """Why the arm withdraws though no limit was passed."""
-_PATIENCE = {OperatingState.IDLE: IDLE_PATIENCE, OperatingState.ARMED: ARMED_PATIENCE}
 
 
-def step(now: SafetyState, observed: Observations) -> SafetyState:
+def step(now: SafetyState, observed: Observations, waits: Patience) -> SafetyState:
     """The safety state after a cycle.
 
     Args:
         now: State after the last cycle.
         observed: Observations of this cycle; the gravest decides.
+        waits: How long is waited.
     """
-    state, reason = _next(now, observed)
+    state, reason = _next(now, observed, waits)
     # Undriven so far, the arm is not taken up for the way out.
     let_go = now.let_go or reason.lets_go or observed.abort or (now.state is OperatingState.IDLE and state in _FINAL)
     if state is now.state and reason is now.reason:
@@ -151,9 +171,9 @@ def step(now: SafetyState, observed: Observations) -> SafetyState:
     return SafetyState(state, reason, detail, let_go=let_go, near=now.near or now.state in _NEAR)
 
 
-def task_of(now: SafetyState, position_age: int) -> Task:
+def task_of(now: SafetyState, position_age: int, waits: Patience) -> Task:
     """Task in a safety state with positions of this age [cycles]."""
-    if now.let_go or position_age > HELD:
+    if now.let_go or position_age > waits.held:
         return Task.OFF
     task = _TASKS[now.state]
     if now.state is OperatingState.FAULT and now.near and now.reason in BRAKES:
@@ -161,9 +181,9 @@ def task_of(now: SafetyState, position_age: int) -> Task:
     return Task.GRAVITY if position_age > BRIDGED and task is not Task.OFF else task
 
 
-def _next(now: SafetyState, observed: Observations) -> tuple[OperatingState, Reason]:
+def _next(now: SafetyState, observed: Observations, waits: Patience) -> tuple[OperatingState, Reason]:
     state, reason = now.state, now.reason
-    found = _gravest(observed)
+    found = _gravest(observed, waits.held)
     if state is OperatingState.FAULT:
         if reason is Reason.POSITION_LOST:  # what it was shows only now
             if observed.hazard in _SILENCING:
@@ -177,8 +197,9 @@ def _next(now: SafetyState, observed: Observations) -> tuple[OperatingState, Rea
     if observed.abort and state is not OperatingState.STOPPED:
         return OperatingState.FAULT, Reason.OPERATOR
     leave = observed.doubt if observed.doubt is not Reason.NONE else observed.finish
-    if state in _PATIENCE:
-        if leave is Reason.NONE and now.cycles + 1 >= _PATIENCE[state]:
+    if state in (OperatingState.IDLE, OperatingState.ARMED):
+        waited = waits.idle if state is OperatingState.IDLE else waits.armed
+        if leave is Reason.NONE and now.cycles + 1 >= waited:
             leave = Reason.NOT_STARTED
         if leave is not Reason.NONE:
             return OperatingState.STOPPED, leave
@@ -207,11 +228,11 @@ def _next(now: SafetyState, observed: Observations) -> tuple[OperatingState, Rea
     return state, reason
 
 
-def _gravest(observed: Observations) -> Reason:
+def _gravest(observed: Observations, held: int) -> Reason:
     """Gravest reason for a fault, NONE if there is none."""
     if observed.hazard is not Reason.NONE:
         return observed.hazard
-    if observed.position_age > HELD:
+    if observed.position_age > held:
         return Reason.POSITION_LOST
     if observed.danger is Reason.NONE and observed.position_age > BRIDGED:
         return Reason.POSITION_OLD

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from deploy.bus.bus import MOST_AT_ONCE, Bus
+from deploy.durations import cycles
 from deploy.force.sensor import ForceSensor
 from deploy.puck import properties
 from deploy.puck.codec import BROADCAST, GROUPS, SAFETY_MODULE, decode, get, pack_torques, position_counts, set_value
@@ -14,10 +15,10 @@ from deploy.wam.dialogue import Dialogue
 from deploy.wam.pucks import Pucks
 from deploy.wam.reading import Reading
 
-DOUBT: Final = 20
-"""Cycles after a missing position in which it may still come; older ones would have stopped the arm anyway."""
-POLL_EVERY: Final = 5
-"""Cycles between two questions about states; there are four in turn, so 50 Hz each at 1 kHz (wam.md §6)."""
+DOUBT: Final = 0.02
+"""Time after a missing position in which it may still come [s]; older ones would have stopped the arm anyway."""
+POLL_EVERY: Final = 0.005
+"""Time between two questions about states [s]; there are four in turn, so 50 Hz each (wam.md §6)."""
 BACKLOG: Final = 256
 """Frames that are read before the question is asked: ten milliseconds of a full bus, in the time of one cycle."""
 LONG_AGO: Final = 1_000_000
@@ -50,7 +51,7 @@ class WamArm:
         sensor: ForceSensor,
         counts: Sequence[int],
         safety_version: int,
-        poll_every: int = POLL_EVERY,
+        T_s: float = 1e-3,
     ) -> None:
         """Begin with positions already known.
 
@@ -60,7 +61,7 @@ class WamArm:
             sensor: Of the force; a `Mounted` one, so that forces are those on the tissue.
             counts: Of the motors (4,), to judge the first jump by.
             safety_version: Of the safety module's firmware.
-            poll_every: Cycles between two questions about states.
+            T_s: Time between two cycles [s].
         """
         self.bus, self.pucks, self.sensor = bus, pucks, sensor
         self.counts = list(counts)
@@ -75,7 +76,7 @@ class WamArm:
         mode, pen = get(SAFETY_MODULE, self._mode), get(SAFETY_MODULE, self._pen)
         own = [get(node, number) for node in pucks.nodes for number in (self._status, self._mode)]
         self._polls = [each for i in range(4) for each in (mode, own[2 * i], pen, own[2 * i + 1])]
-        self._poll_every = poll_every
+        self._poll_every, self._doubtful = cycles(POLL_EVERY, T_s), cycles(DOUBT, T_s)
         self._new: list[int | None] = [None] * 4
         self._late: list[int | None] = [None] * 4
         self._answers, self._doubt, self._ages = [1] * 4, [0] * 4, [0] * 4
@@ -120,7 +121,7 @@ class WamArm:
         self._waiting = 4
         for i in range(4):
             doubt = self._doubt[i]
-            self._doubt[i] = (doubt - 1 if doubt else 0) if self._answers[i] else DOUBT
+            self._doubt[i] = (doubt - 1 if doubt else 0) if self._answers[i] else self._doubtful
             self._waiting += self._doubt[i] > 0
             self._answers[i], self._new[i] = 0, None
         # After an error few frames are still tried: they are for letting the arm go, not for questions.

@@ -38,6 +38,7 @@ def startup(
     zero_angles: Sequence[float] | None = None,
     patience_s: float = 0.0,
     report: Callable[[str], None] = lambda sentence: None,
+    T_s: float = 1e-3,
 ) -> WamArm:
     """Wake the pucks, read what they are, and make sure that the arm knows where it is.
 
@@ -51,6 +52,7 @@ def startup(
         zero_angles: Motor angles of the zero calibration (4,) [rad], to correct home by the absolute encoders.
         patience_s: How long to wait for the operator to press Shift-idle on the pendant [s].
         report: Takes what happens, in sentences.
+        T_s: Time between two of its cycles [s].
 
     Returns:
         The arm, idle. Its cycles are to begin at once: the safety module wants traffic before it is activated.
@@ -107,7 +109,7 @@ def startup(
         raise BusError(OTHERS)
     bus.listen_to((*PUCKS, *asked, SAFETY_MODULE))
     report(f"started: firmware {', '.join(str(info.version) for info in pucks.infos)}, IPNM {pucks.ipnm}")
-    return WamArm(bus, pucks, sensor, counts_now, safety_version)
+    return WamArm(bus, pucks, sensor, counts_now, safety_version, T_s)
 
 
 def _alone(talk: Dialogue) -> None:

@@ -11,7 +11,7 @@ import pytest
 from deploy.puck.frame import Frame
 from deploy.safety import checker as right
 from deploy.safety.reasons import Reason
-from tests.deploy.checking import LIMITS, MOTION, POSTURE, REST, WIDE, asked, make
+from tests.deploy.checking import IPNM, LIMITS, MOTION, PIDX, POSTURE, REST, WIDE, asked, make
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +34,13 @@ def test_age_of_positions(checker):
     for how, ages in expected.items():
         for age, reason in {-1: Reason.POSITION_LOST, **ages}.items():
             assert asked(make(checker), checker, how=how, age=age) is reason
+
+
+def test_an_arm_is_held_for_twenty_milliseconds_whatever_the_rate(checker):
+    for T_s, held in ((1e-4, 200), (1e-3, 20), (3e-3, 7), (0.0115, 2), (0.1, 2)):
+        made = checker.Checker(LIMITS, T_s, IPNM, PIDX, 0.36)
+        assert asked(made, checker, how="safe", age=held) is None
+        assert asked(made, checker, how="safe", age=held + 1) is Reason.POSITION_LOST
 
 
 def test_angles_and_velocities_that_are_not_finite(checker):

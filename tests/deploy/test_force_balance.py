@@ -8,8 +8,6 @@ import pytest
 from deploy.controller.runtimes import flown_controller
 from deploy.safety.force_balance import (
     ASIDE,
-    LEARNED_FROM,
-    LEARNED_TO,
     PUSH,
     SAMPLES,
     UNLEARNED,
@@ -22,6 +20,8 @@ from jaxmpc.law.chain import inverse_dynamics, mass_matrix, pose, tip, with_poin
 from jaxmpc.law.ops import FLOATS
 from tests.deploy.made import POSTURE, T_S
 
+LEARNED_FROM, LEARNED_TO = 200, 400
+"""Samples at 1 kHz."""
 UP = (0.0, 0.0, 1.0)
 NONE = (0.0, 0.0, 0.0)
 
@@ -52,7 +52,7 @@ def test_the_air_is_learned_once_on_the_way_down():
     for _ in range(300):  # a press that the sensor does not tell of is never taken for air
         state, _ = balance_step(state, (0.0, 0.0, -6.0), NONE, NONE, UP, True, T_S)
     assert state.air == pytest.approx(2.0)
-    assert BalanceState().air == BalanceState(cycles=LEARNED_TO - 1, learned=1e3).air == UNLEARNED
+    assert BalanceState().air == BalanceState(samples=100, learned=1e3).air == UNLEARNED
 
 
 @pytest.mark.parametrize("approaching", [False, True])
@@ -80,7 +80,7 @@ def test_across_the_normal_friction_counts_either_way(axis, sign):
 
 
 def test_the_normal_may_point_anywhere():
-    state = BalanceState(cycles=LEARNED_TO)
+    state = learned(0.0)
     assert set(after(state, (-PUSH - 0.1, 0.0, 0.0), NONE, 9, normal=(1.0, 0.0, 0.0))) == {None, Reason.FORCE_MODEL}
     assert set(after(state, (PUSH + 0.1, 0.0, 0.0), NONE, 9, normal=(1.0, 0.0, 0.0))) == {None}
 

@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 
 from deploy.errors import CalibrationError
-from deploy.force.can_sensor import DOUBT, CanSensor
+from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import BAD_DATA, TARE_AGAIN, Mounted, Wrench, mean_force
 from deploy.puck import codec, messages
 from deploy.puck.frame import Frame
 
 FORCE, MOMENT = codec.encode_force((1.0, 2.0, -3.0)), codec.encode_moment((0.5, 0.0, -0.25))
+DOUBT = 20
+"""Cycles at 1 kHz."""
 OTHER = codec.encode_force((1.5, 2.0, -3.0))
 
 

@@ -7,11 +7,7 @@ import pytest
 from deploy.bus.bus import Counters
 from deploy.loop.hazards import (
     CHANGING,
-    FOREIGN,
-    LATELY,
     NOBODY,
-    SILENT,
-    UNANSWERED,
     CycleTiming,
     Hazards,
 )
@@ -21,6 +17,8 @@ from deploy.wam.reading import Reading
 from tests.deploy.wire import PENDANT, START
 
 T_S = 1e-3
+FOREIGN, LATELY, SILENT, UNANSWERED = 4, 1000, 100, 25
+"""Frames, and cycles, at 1 kHz."""
 FINE = Reading(START, (0,) * 4, (0.0, 0.0, -5.0), 0, 0, 2, PENDANT, 3, (2,) * 4, (2,) * 4, ())
 NONE, PUNCTUAL = (Reason.NONE, ""), CycleTiming()
 
@@ -28,10 +26,10 @@ NONE, PUNCTUAL = (Reason.NONE, ""), CycleTiming()
 class Judge:
     """Hazards of an arm in its thousands of cycles, of whose bus a test says what it likes."""
 
-    def __init__(self):
+    def __init__(self, T_s=T_S):
         bus = SimpleNamespace(state="active", remedy="a remedy", counters=Counters())
         self.arm = SimpleNamespace(bus=bus, late=0, cycle=5000, pucks=SimpleNamespace(nodes=(1, 2, 3, 4)))
-        self.hazards = Hazards(self.arm, T_S)
+        self.hazards = Hazards(self.arm, T_s)
 
     def __call__(self, timing=PUNCTUAL, youngest=0, **changed):
         self.arm.cycle += 1

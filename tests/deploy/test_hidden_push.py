@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.safety.force_balance import HIDDEN, LEARNED_TO, BalanceState, balance_step
+from deploy.safety.force_balance import HIDDEN, BalanceState, balance_step
 from deploy.safety.hidden_push import FILLED, MEMORY, TURNING, MotionSums, gathered, hidden_push
 from deploy.safety.reasons import Reason
 
@@ -51,7 +51,7 @@ def test_nothing_is_told_too_soon_or_where_nothing_moves():
 def test_a_push_that_friction_hides_is_seen_within_two_seconds_and_a_smaller_one_never(hides, reason, friction):
     """Far below what the balance of a single moment may show."""
     state = BalanceState()
-    for _ in range(LEARNED_TO):
+    for _ in range(400):
         state, found = balance_step(state, (0.0, 0.0, -friction), (0.0, 0.0, 0.0), (0.0, 0.0, -0.02), UP, True, T_S)
         assert found is None
     for k in range(2000):

@@ -7,7 +7,7 @@ import pytest
 
 from deploy.runtime import force_lag
 from deploy.runtime.force_lag import HEARD
-from deploy.safety.late_force import LATE, SAMPLES, late_step
+from deploy.safety.late_force import LATE, late_step
 from deploy.safety.reasons import Reason
 from jaxmpc.law.identification import step
 from jaxmpc.law.ops import FLOATS
@@ -15,6 +15,8 @@ from jaxmpc.law.stiffness import SILENT, unknown
 from tests.deploy.made import T_S, scheduled_gains
 
 CONSTANTS = scheduled_gains().schedule.identification
+SAMPLES = 20
+"""In a row at 1 kHz."""
 OMEGA = math.atan2(CONSTANTS.turn[1], CONSTANTS.turn[0]) / T_S
 
 
@@ -52,7 +54,7 @@ def test_nothing_is_told_before_it_was_heard(changes):
 def run(lags):
     count, found = 0, []
     for each in lags:
-        count, reason = late_step(count, each)
+        count, reason = late_step(count, each, 1e-3)
         found.append(reason)
     return found
 

@@ -6,8 +6,10 @@ import pytest
 
 from deploy.puck import codec
 from deploy.puck.frame import Frame
-from deploy.wam.arm import DOUBT
 from tests.deploy.wire import FORCE, MOMENT, MS, START, Rig, moved, positions, whole
+
+DOUBT = 20
+"""Cycles at 1 kHz."""
 
 
 @pytest.fixture

@@ -2,19 +2,8 @@ from itertools import product
 
 import pytest
 
-from deploy.safety.machine import (
-    ARMED_PATIENCE,
-    BRIDGED,
-    CONTACT_CYCLES,
-    HELD,
-    IDLE_PATIENCE,
-    Observations,
-    OperatingState,
-    SafetyState,
-    Task,
-    step,
-    task_of,
-)
+from deploy.safety import machine
+from deploy.safety.machine import BRIDGED, CONTACT_CYCLES, Observations, OperatingState, SafetyState, Task, patience
 from deploy.safety.reasons import EXPLANATION, Reason
 
 UP = {
@@ -28,6 +17,16 @@ UP = {
 }
 NONE = Reason.NONE
 READY = Observations(active=True)
+WAITS = patience(1e-3)
+HELD = WAITS.held
+
+
+def step(now, observed):
+    return machine.step(now, observed, WAITS)
+
+
+def task_of(now, age):
+    return machine.task_of(now, age, WAITS)
 
 
 def walk(*seen, start=None):
@@ -176,14 +175,14 @@ def test_the_second_signal_lets_go_in_every_state(state):
 
 
 def test_what_is_waited_for_in_vain_ends():
-    for state, patience, seen in (
-        (OperatingState.IDLE, IDLE_PATIENCE, Observations(armed=False)),
-        (OperatingState.IDLE, IDLE_PATIENCE, Observations(position_age=BRIDGED)),
-        (OperatingState.ARMED, ARMED_PATIENCE, Observations(active=False)),
-        (OperatingState.ARMED, ARMED_PATIENCE, READY._replace(start=False)),
+    for state, waited, seen in (
+        (OperatingState.IDLE, 500, Observations(armed=False)),
+        (OperatingState.IDLE, 500, Observations(position_age=BRIDGED)),
+        (OperatingState.ARMED, 600_000, Observations(active=False)),
+        (OperatingState.ARMED, 600_000, READY._replace(start=False)),
     ):
-        assert step(SafetyState(state, cycles=patience - 2), seen).state is state
-        now = step(SafetyState(state, cycles=patience - 1), seen)
+        assert step(SafetyState(state, cycles=waited - 2), seen).state is state
+        now = step(SafetyState(state, cycles=waited - 1), seen)
         assert (now.state, now.reason) == (OperatingState.STOPPED, Reason.NOT_STARTED)
         assert (task_of(now, 0) is Task.OFF) == (state is OperatingState.IDLE)
 

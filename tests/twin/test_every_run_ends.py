@@ -162,7 +162,7 @@ def test_an_arm_that_is_never_armed_or_activated_is_not_waited_for_for_ever():
     bus.close()
     assert (ended.safety_state.state, ended.safety_state.reason) == (OperatingState.STOPPED, Reason.NOT_STARTED)
     assert ended.safety_state.let_go
-    assert (clock.now() - began) * 1e-6 <= IDLE_PATIENCE + 200
+    assert (clock.now() - began) * 1e-6 <= 1e3 * IDLE_PATIENCE + 200
 
 
 def test_there_are_as_many_pairs_as_are_said():
