@@ -1,0 +1,94 @@
+"""Guard, schedule and filter among the gains of a file of the kind "wam"."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from deploy.controller import frozen_gains
+from deploy.controller.file import from_bytes, to_bytes
+from deploy.controller.freeze import freeze
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.sealed import seal, unseal
+from jaxmpc.law.force_filter import ForceFilter
+from jaxmpc.law.gain_backoff import GainBackoff
+from tests.deploy import made
+from tests.deploy.changed_files import arm_file, refused, replaced
+
+
+@pytest.fixture
+def opened():
+    """Header and arrays, to be changed."""
+    return unseal(arm_file())
+
+
+@pytest.mark.parametrize(("ratio", "told_apart"), [(0.9, False), (1.0, False), (1.0009, False), (1.001, True)])
+def test_knots_are_as_far_apart_as_a_design_has_them(ratio, told_apart):
+    gains = made.scheduled_gains()
+    first, second = gains.schedule.knots
+    near = second._replace(log_stiffness=first.log_stiffness + math.log(ratio))
+    near = gains._replace(schedule=gains.schedule._replace(knots=(first, near)))
+    if told_apart:
+        assert frozen_gains.checked(near) == near
+    else:
+        with pytest.raises(InputError, match=r"schedule\.knots = .*: must be in the order of their stiffness"):
+            frozen_gains.checked(near)
+
+
+@pytest.fixture(scope="module")
+def guarded():
+    """Header and arrays of a controller whose force swings."""
+    return unseal(to_bytes(made.arm_artifact(512, gains=made.guarded_gains())))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("", [0.9], r"guard = \[0.9\]: must be a table of corner, forgetting, sensitivity, attention, "),
+        (".pace", ..., "guard.pace = missing: must be given"),
+        (".gain", 1.0, "guard.gain = 1.0: must be a known key"),
+        (".corner", 1.0, r"guard.corner = 1.0: must be in \[0, 1\)"),
+        (".forgetting", -1e-3, r"guard.forgetting = -0.001: must be in \[0, 1\)"),
+        (".pace", 1.5, r"guard.pace = 1.5: must be in \[0, 1\)"),
+        (".recovery", None, "guard.recovery = an array of object: must be an array of numbers"),
+        (".recovery", [0.0], r"guard.recovery = an array of shape \(1,\)"),
+        (".sensitivity", 0.0, "guard.sensitivity = 0.0: must be at least 1e-09"),
+        (".sensitivity", "1e999", "guard.sensitivity = an array of <U"),
+        ("", None, "deviation from the golden trace"),
+    ],
+)
+def test_a_wrong_guard_is_refused(guarded, path, value, message):
+    refused(guarded, message, f"gains.guard{path}", value)
+
+
+@pytest.mark.parametrize("name", GainBackoff._fields)
+def test_every_constant_of_the_guard_is_held_by_the_trace(guarded, name):
+    value = guarded[0]["gains"]["guard"][name] * 1.001
+    refused(guarded, "deviation from the golden t", f"gains.guard.{name}", value)
+
+
+def test_a_guard_of_nothing_is_none(opened):
+    header, arrays = opened
+    assert from_bytes(seal(replaced(header, "gains.guard", None), arrays)).gains.guard is None
+
+
+def test_the_cascades_alone_have_no_guard(tmp_path, arguments):
+    guarded = arguments | {"gains": made.guarded_gains()}
+    with pytest.raises(InputError, match="guard = given: must be left out where no arm is driven"):
+        freeze(tmp_path / "c.npz", **guarded)
+
+
+@pytest.mark.parametrize("wrong", [{"M_s": 2.01}, {"spectral_radius": 1.0}])
+def test_a_family_keeps_its_floor_where_the_tissue_is_known_too(wrong):
+    family = made.arm_artifact(6, gains=made.scheduled_gains())
+    rows = [made.margin_row(375.0), made.margin_row(810.0, **wrong)]
+    with pytest.raises(InputError, match=f"^{min(wrong)} with the tissue known to have about 810 N/m"):
+        replace(family, family={"band": 0.08, "rows": rows})
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_filter_of_the_force_runs_at_the_rate_of_the_law(share):
+    artifact = made.arm_artifact(6)
+    own = ForceFilter(share * made.T_S, 0.3, 40.0)
+    with pytest.raises(InputError, match=r"^force_filter\.T_s = "):
+        replace(artifact, gains=artifact.gains._replace(force_filter=own))
