@@ -41,13 +41,14 @@ def set_home(
     counts = pucks.counts(_corrected(talk, pucks, home, zero_angles))
     for info, count in zip(pucks.infos, counts, strict=True):
         talk.order(info.node, info.number("P"), count, then_s=0.001)
-    talk.order(SAFETY_MODULE, zero, 1, then_s=0.015)
     now = talk.ask_positions(question, pucks.nodes)
-    zeroed = talk.must(SAFETY_MODULE, zero) == 1
-    near = now is not None and all(
+    taken = now is not None and all(
         abs(a - b) < info.counts_per_turn // 8 for a, b, info in zip(now, counts, pucks.infos, strict=True)
     )
-    if not (zeroed and near):
+    if taken:  # and only then: the next program believes what the module says, whatever becomes of this one
+        talk.order(SAFETY_MODULE, zero, 1, then_s=0.015)
+        taken = talk.must(SAFETY_MODULE, zero) == 1
+    if not taken:
         raise CalibrationError("the home position was not taken: hold the arm still and start again")
 
 
