@@ -5,7 +5,7 @@ import termios
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TextIO
 
 from deploy.loop.cycle import CycleResult, OperatorCommand
@@ -16,6 +16,8 @@ from deploy.safety.reasons import EXPLANATION, Reason
 CAPACITY = 1000
 """Lines that may wait for the terminal."""
 _PAUSE = 0.02
+_HELD_DOWN = 0.2
+"""A key that is held down so long is one press [s]."""
 _SAID = {
     OperatingState.ARMED: "armed: press Shift-activate on the pendant",
     OperatingState.APPROACH: "approach: going down until the tissue is met",
@@ -107,13 +109,29 @@ class Operator:
         return self.command
 
     def _listen(self) -> None:
-        for _ in sys.stdin:
+        for _ in _lines():
             if self._state in (OperatingState.IDLE, OperatingState.ARMED) and not self._start:
                 self._start = True
                 self._console.say("Enter: the approach begins once the pendant has activated the arm")
             elif self._state not in (OperatingState.IDLE, OperatingState.ARMED):
                 self._stop = True
-            time.sleep(0.2)  # a key that is held down is one press
+            time.sleep(_HELD_DOWN)
+        self._console.say("standard input has ended: Enter is not heard any more, Ctrl-C ends the run")
+
+
+def _lines() -> Iterator[str]:
+    """Lines that are typed, until nobody can type any more: a terminal goes on after Ctrl-D, a file does not."""
+    while sys.stdin is not None:
+        try:
+            line = sys.stdin.readline()
+            if not line and not sys.stdin.isatty():
+                return
+        except (OSError, ValueError):  # the terminal is gone
+            return
+        if line:
+            yield line
+        else:
+            time.sleep(_HELD_DOWN)
 
 
 def _forget_typed() -> None:

@@ -1,4 +1,7 @@
-"""Ctrl-C and SIGTERM: the first asks, the second lets go, and after it the process ends whatever hangs.
+r"""Ctrl-C and SIGTERM: the first asks, the second lets go, and after it the process ends whatever hangs.
+
+Ctrl-Z and Ctrl-\ are meant for programs that may be stopped, or killed, at any moment: here they ask like Ctrl-C, for a
+stopped loop lets the arm fall. Nor does it stop for a terminal whose background it is in.
 
 A terminal that is closed, as by a connection that breaks, asks too. It may say so twice, by the shell and by the
 kernel: that lets nothing go. Who had it ignored before, by nohup, flies on.
@@ -13,7 +16,8 @@ from typing import Any
 
 GRACE = 1.0
 """Time after the second signal in which the arm is let go and the recording written [s]; then the process ends."""
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP, signal.SIGQUIT)
+BACKGROUND = (signal.SIGTTIN, signal.SIGTTOU)
 
 
 class EndingSignals:
@@ -37,6 +41,8 @@ class EndingSignals:
         for number in ENDING:
             if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._heard)
+        for number in BACKGROUND:
+            self._before[number] = signal.signal(number, signal.SIG_IGN)
         return self
 
     def __exit__(

@@ -2,12 +2,14 @@
 
 import io
 import os
+import sys
 import threading
 import time
 from types import SimpleNamespace
 
 import pytest
 
+from deploy.cli.run import _armed
 from deploy.loop import operator as operator_module
 from deploy.loop.cycle import OperatorCommand
 from deploy.loop.operator import Operator
@@ -69,9 +71,56 @@ def test_an_enter_from_before_it_was_asked_for_begins_nothing(monkeypatch):
             while not operator.command.start and time.monotonic() < end:
                 time.sleep(0.01)
             assert operator.command.start
-            os.write(master, b"\x04")  # the end of what is typed, and of who listens
-            for thread in threading.enumerate():
-                if thread.name == "keys":
-                    thread.join(10.0)
+            listened_out(master)
     finally:
         os.close(master)
+
+
+def listened_out(master):
+    """The terminal is gone, and with it who listens to it."""
+    other, _ = os.openpty()
+    os.dup2(other, master)
+    os.close(other)
+    for thread in threading.enumerate():
+        if thread.name == "keys":
+            thread.join(10.0)
+            assert not thread.is_alive()
+
+
+def test_a_ctrl_d_is_no_end_of_listening(monkeypatch):
+    """It is the end of a file, not of a terminal: Enter still begins and ends."""
+    master, slave = os.openpty()
+    try:
+        with os.fdopen(slave) as terminal:
+            monkeypatch.setattr(operator_module.sys, "stdin", terminal)
+            operator = made(start=False, keys=True)
+            for typed in (b"\x04", b"\x04", b"\n"):
+                time.sleep(0.3)
+                os.write(master, typed)
+            end = time.monotonic() + 10.0
+            while not operator.command.start and time.monotonic() < end:
+                time.sleep(0.01)
+            assert operator.command.start
+            listened_out(master)
+    finally:
+        os.close(master)
+
+
+def gone():
+    raise OSError(5, "Input/output error")
+
+
+@pytest.mark.parametrize("stdin", [None, io.StringIO(""), SimpleNamespace(readline=gone)], ids=["none", "end", "gone"])
+def test_who_has_no_standard_input_arms_nothing(monkeypatch, stdin):
+    monkeypatch.setattr(sys, "stdin", stdin)
+    assert not _armed(None, 64 * "0")
+
+
+@pytest.mark.parametrize("stdin", [None, io.StringIO("")], ids=["closed", "ended"])
+def test_where_nobody_can_type_it_is_said(monkeypatch, stdin):
+    said = []
+    monkeypatch.setattr(operator_module.sys, "stdin", stdin)
+    operator = Operator(SimpleNamespace(say=said.append), SimpleNamespace(count=0), lambda: 0.0, 10.0, False, False)
+    operator._listen()
+    assert said == ["standard input has ended: Enter is not heard any more, Ctrl-C ends the run"]
+    assert operator.command == OperatorCommand(True, False)

@@ -99,3 +99,27 @@ def test_under_nohup_a_closed_terminal_is_none_of_its_business():
         signal.raise_signal(signal.SIGHUP)
         assert signals.count == 0
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+ASKED = "while not signals.count:\n    time.sleep(0.01)\nprint(signals.count, flush=True)"
+
+
+@pytest.mark.parametrize("key", [signal.SIGTSTP, signal.SIGQUIT], ids=["Ctrl-Z", "Ctrl-\\"])
+def test_a_key_that_would_stop_or_kill_the_loop_asks_for_its_end(key):
+    """Stopped or killed, the arm would be let go where it is."""
+    child = started(ASKED)
+    try:
+        child.send_signal(key)
+        assert child.communicate(timeout=10.0)[0] == "1\n"
+        assert child.returncode == 0
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def test_a_loop_that_is_put_into_the_background_goes_on():
+    """Reading or writing there would stop it."""
+    before = signal.getsignal(signal.SIGTTIN), signal.getsignal(signal.SIGTTOU)
+    with EndingSignals():
+        assert signal.getsignal(signal.SIGTTIN) is signal.getsignal(signal.SIGTTOU) is signal.SIG_IGN
+    assert (signal.getsignal(signal.SIGTTIN), signal.getsignal(signal.SIGTTOU)) == before
