@@ -1,5 +1,6 @@
 """Questions and orders to single nodes, one after the other, before the cycle begins."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Final, Protocol
 
@@ -38,6 +39,7 @@ class Dialogue:
     Attributes:
         properties: Last answer by node and property.
         positions: Last position by node [counts].
+        answers: How many there were by node and property.
     """
 
     def __init__(self, bus: Bus, clock: Clock) -> None:
@@ -45,6 +47,7 @@ class Dialogue:
         self.bus, self.clock = bus, clock
         self.properties: dict[tuple[int, int], int] = {}
         self.positions: dict[int, int] = {}
+        self.answers: Counter[tuple[int, int]] = Counter()
 
     def tell(self, frame: Frame) -> None:
         """Send a frame.
@@ -126,5 +129,6 @@ class Dialogue:
         reply = decode(got[0])
         if isinstance(reply, PropertyReply):
             self.properties[reply.node, reply.property] = reply.value
+            self.answers[reply.node, reply.property] += 1
         elif isinstance(reply, Position):
             self.positions[reply.node] = reply.counts

@@ -14,7 +14,7 @@ from deploy.puck import properties
 from deploy.puck.codec import GROUPS, PUCKS, SAFETY_MODULE, SENSOR, get
 from deploy.puck.pendant import decode_pendant
 from deploy.wam.arm import WamArm
-from deploy.wam.dialogue import NS, Clock, Dialogue, name_of
+from deploy.wam.dialogue import NS, TRIES, Clock, Dialogue, name_of
 from deploy.wam.homing import HOME, set_home, within_stops
 from deploy.wam.pucks import PuckInfo, Pucks
 
@@ -134,10 +134,12 @@ def _link_up(talk: Dialogue, report: Callable[[str], None]) -> None:
 
 def _enumerate(talk: Dialogue) -> dict[int, int]:
     """STAT of every node that answers."""
+    talk.answers.clear()
     for node in range(1, 32):
         talk.tell(get(node, STAT))
         talk.listen(0.001)
     talk.listen(0.05)
+    _one_of_each(talk)
     found = {node: value for (node, number), value in talk.properties.items() if number == STAT}
     # a lost frame is no missing node
     for node in (*PUCKS, SENSOR, SAFETY_MODULE):
@@ -147,6 +149,24 @@ def _enumerate(talk: Dialogue) -> dict[int, int]:
         remedy = "check that the arm is powered and the e-stop released, the cable with its terminators, and 1 Mbit/s"
         raise BusError(f"nobody answers on this bus: {remedy}")
     return found
+
+
+def _one_of_each(talk: Dialogue) -> None:
+    """Refuse two nodes of one number; an adapter may tell a frame twice, now and then or every one."""
+    told = {node: count for (node, number), count in talk.answers.items() if number == STAT}
+    twice = [node for node, count in told.items() if count > 1]
+    if len(twice) == len(told):
+        return
+    for node in twice:
+        for _ in range(TRIES):
+            talk.answers.clear()
+            talk.tell(get(node, STAT))
+            talk.listen(0.01)
+            if talk.answers[node, STAT] < 2:
+                break
+        else:
+            remedy = "take one of them off the bus and give each a number of its own with btutil"
+            raise BusError(f"two nodes answer as {name_of(node)}: {remedy}")
 
 
 def _idle_safety_module(

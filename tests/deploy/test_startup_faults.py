@@ -154,3 +154,38 @@ def test_an_arm_that_was_moved_either_way_is_told(by):
     assert arm.moved(talk) is None
     fake.values[2]["P"] = arm.counts[1] + by
     assert arm.moved(talk) == 1
+
+
+class Twice(FakeArm):
+    """Each answer of a node comes twice, once or always; the other one tells another position."""
+
+    def __init__(self, times, *nodes):
+        super().__init__()
+        self.nodes, self.times = nodes, times
+
+    def answer(self, node, name, number):
+        super().answer(node, name, number)
+        if node in self.nodes and self.times:
+            self.times -= 1
+            kept = self.values[node][name]
+            if name == "P":
+                self.values[node][name] = kept + 5
+            super().answer(node, name, number)
+            self.values[node][name] = kept
+
+
+@pytest.mark.parametrize(("node", "name"), [(1, "puck 1"), (4, "puck 4"), (8, "the force"), (10, "the safety")])
+def test_two_nodes_of_one_number_are_told_before_anything_is_set(node, name):
+    fake = Twice(10**9, node)
+    with pytest.raises(BusError, match=f"two nodes answer as {name}.*number of its own"):
+        start(fake)
+    assert fake.orders == []
+
+
+@pytest.mark.parametrize("times", [1, 2, 3])
+def test_a_frame_that_comes_twice_is_no_second_node(times):
+    start(Twice(times, 2))
+
+
+def test_an_adapter_that_tells_every_frame_twice_is_none_either():
+    start(Twice(10**9, 1, 2, 3, 4, 8, 10))
