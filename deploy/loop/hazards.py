@@ -14,6 +14,8 @@ SILENT, QUESTIONS = 0.1, 10
 """Time without a word of the safety module [s], and the fewest questions: it is asked by every second poll."""
 UNANSWERED = 5
 """Polls without a word of the safety module: it was asked at least twice."""
+UNTOLD, ROUNDS, ROUND = 0.5, 6, 16
+"""Time without a word of a puck on its state [s], and the fewest rounds of polls: each has two questions to it."""
 NOBODY = "nobody answers, nor does the safety module: the bus is cut, or what answers on it stands still or is late"
 LATELY = 1.0
 """Time for which lateness explains replies that do not come [s]."""
@@ -52,6 +54,7 @@ class Hazards:
         self._late, self._late_at, self._active = arm.late, -self._lately, 0
         polls = cycles(POLL_EVERY, T_s)
         self._babble = cycles(FOREIGN, 1.0 / T_s)
+        self._untold = cycles(UNTOLD, T_s, ROUNDS * ROUND * polls)
         self._silent, self._unanswered = cycles(SILENT, T_s, 2 * QUESTIONS * polls), UNANSWERED * polls
 
     @property
@@ -108,6 +111,9 @@ class Hazards:
 
     def _of_pucks(self, reading: Reading) -> tuple[Reason, str]:
         nodes = self._arm.pucks.nodes
+        for node, age in zip(nodes, reading.puck_age, strict=True):
+            if age > self._untold:
+                return Reason.PUCK_FAULT, f"puck {node} does not tell its state"
         for node, status in zip(nodes, reading.puck_status, strict=True):
             if status != 2:
                 return Reason.PUCK_FAULT, f"puck {node} reports STAT {status}"

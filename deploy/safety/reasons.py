@@ -115,7 +115,7 @@ EXPLANATION: Mapping[Reason, str] = {
     Reason.BUS_OFF: "The CAN controller went bus-off.",
     Reason.BUS_ERROR: "Frames could not be sent.",
     Reason.BUS_LOAD: "Foreign frames fill the bus.",
-    Reason.PUCK_FAULT: "A puck reported an error or left its mode.",
+    Reason.PUCK_FAULT: "A puck reported an error, left its mode or told its state no more.",
     Reason.E_STOP: "The emergency stop was pressed.",
     Reason.IDLE: "The pendant, or the safety module, set the arm to idle.",
     Reason.PENDANT_FAULT: "The safety module reported a fault.",

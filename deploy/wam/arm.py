@@ -87,6 +87,7 @@ class WamArm:
         self._ask_mode = False
         self._puck_status = [properties.STAT_READY] * 4
         self._puck_mode: list[int | None] = [None] * 4
+        self._puck_age = [0] * 4
         self._other: list[PropertyReply] = []
 
     def moved(self, talk: Dialogue) -> int | None:
@@ -214,9 +215,9 @@ class WamArm:
                 self._pendant = decode_pendant(reply.value)
         elif (motor := self._motor.get(reply.node)) is not None:
             if reply.property == self._status:
-                self._puck_status[motor] = reply.value
+                self._puck_status[motor], self._puck_age[motor] = reply.value, -1
             elif reply.property == self._mode:
-                self._puck_mode[motor] = reply.value
+                self._puck_mode[motor], self._puck_age[motor] = reply.value, -1
 
     def _reading(self) -> Reading:
         ages, new = self._ages, self._new
@@ -230,6 +231,7 @@ class WamArm:
         wrench = self.sensor.read()
         self._force_age = self._force_age + 1 if wrench is None else 0
         self._safety_age += 1
+        self._puck_age = [age + 1 for age in self._puck_age]
         return Reading(
             tuple(new),
             tuple(ages),
@@ -242,4 +244,5 @@ class WamArm:
             tuple(self._puck_status),
             tuple(self._puck_mode),
             tuple(self._other),
+            tuple(self._puck_age),
         )

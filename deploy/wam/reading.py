@@ -23,6 +23,7 @@ class Reading(NamedTuple):
         puck_status: STAT of each puck as last reported: 0 reset, 1 error, 2 ready.
         puck_mode: MODE of each puck as last reported: 0 idle, 2 torque; None before its first answer.
         other: All properties told in this cycle.
+        puck_age: Cycles since each puck last told STAT or MODE; it is asked twice in 16 polls.
     """
 
     counts: tuple[int | None, ...]
@@ -36,3 +37,4 @@ class Reading(NamedTuple):
     puck_status: tuple[int, ...]
     puck_mode: tuple[int | None, ...]
     other: tuple[PropertyReply, ...]
+    puck_age: tuple[int, ...] = (0, 0, 0, 0)

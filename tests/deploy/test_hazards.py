@@ -144,6 +144,15 @@ def test_for_a_second_after_anything_late_what_does_not_come_is_late_and_not_los
     assert not judge.hazards.lately
 
 
+@pytest.mark.parametrize("motor", range(4))
+def test_a_puck_that_has_not_told_its_state_for_half_a_second(judge, motor):
+    def ages(age):
+        return tuple(age if i == motor else 0 for i in range(4))
+
+    assert judge(puck_age=ages(500)) == NONE
+    assert judge(puck_age=ages(501)) == (Reason.PUCK_FAULT, f"puck {motor + 1} does not tell its state")
+
+
 @pytest.mark.parametrize("reason", [Reason.STALLED, Reason.WATCHDOG])
 def test_the_clock_and_the_watchdog_have_the_first_word(judge, reason):
     judge.arm.bus.state = "off"

@@ -51,6 +51,28 @@ def test_a_silent_safety_module_is_missed_after_a_tenth_of_a_second_and_ten_ques
 
 
 @RATES
+def test_a_puck_that_does_not_tell_its_state_is_missed_after_half_a_second_and_six_rounds_of_polls(T_s):
+    judge = Judge(T_s)
+    untold = max(round(0.5 / T_s), 6 * 16 * cycles(5e-3, T_s))
+    assert judge(puck_age=(0, 0, 0, untold))[0] is Reason.NONE
+    assert judge(puck_age=(0, 0, 0, untold + 1))[0] is Reason.PUCK_FAULT
+    assert untold * T_s <= 1.0
+
+
+@RATES
+def test_every_puck_is_heard_in_every_round_of_polls(T_s):
+    """Its states come, and make it no older than a round."""
+    rig, oldest = Rig(T_s=T_s), 0
+    for _ in range(3 * 16 * cycles(5e-3, T_s)):
+        asked = rig.wire.sent[-1] if rig.wire.sent else None
+        told = []
+        if asked is not None and 1 <= asked.id <= 4:
+            told = [codec.encode_property(asked.id, asked.data[0], 2)]
+        oldest = max(oldest, *rig.cycle(*whole(), *told).puck_age)
+    assert oldest <= 16 * cycles(5e-3, T_s) + 1
+
+
+@RATES
 def test_lateness_explains_for_a_second(T_s):
     judge = Judge(T_s)
     judge(CycleTiming(missed=1))
