@@ -14,12 +14,14 @@ from deploy.bus.bus import Bus
 from deploy.bus.interface import open_bus
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import ArtifactError, load
+from deploy.controller.limits import Limits
+from deploy.doctor_pucks import torque_caps
 from deploy.errors import BusError
 from deploy.loop.realtime import MonotonicClock, next_deadline, prepared
 from deploy.loop.statistics import LATE_OVERRUNS, Histogram
 from deploy.puck.codec import PUCKS, SAFETY_MODULE, SENSOR, decode, get
 from deploy.puck.messages import PropertyReply
-from deploy.puck.properties import STAT_ERROR
+from deploy.puck.properties import STAT_ERROR, STAT_READY
 
 HIGHEST_LOAD = 0.9
 """Share of the bus that may be planned with frames of the worst length: the rest is adapters and the unexpected."""
@@ -177,24 +179,25 @@ def controller(path: Path) -> tuple[Finding, Artifact | None]:
     return Finding("ok", f"controller: {path} {drives}, sha256 {sha256}"), artifact
 
 
-def bus(flags: argparse.Namespace, sensor: bool) -> list[Finding]:
+def bus(flags: argparse.Namespace, sensor: bool, limits: Limits | None = None) -> list[Finding]:
     """Whether the bus is there, quiet, and who answers on it; it asks for states and sets nothing.
 
     Args:
         flags: Of python-can.
         sensor: Whether the force sensor must answer.
+        limits: Of the controller that is to run; None for none.
     """
     try:
         opened = open_bus(flags)
     except BusError as error:
         return [Finding("wrong", f"bus: {error}")]
     try:
-        return _ask(opened, sensor)
+        return _ask(opened, sensor, limits)
     finally:
         opened.close()
 
 
-def _ask(opened: Bus, sensor: bool) -> list[Finding]:
+def _ask(opened: Bus, sensor: bool, limits: Limits | None) -> list[Finding]:
     end = time.monotonic() + _LISTEN_S
     while time.monotonic() < end:
         opened.receive(_ANSWER_S)
@@ -214,6 +217,9 @@ def _ask(opened: Bus, sensor: bool) -> list[Finding]:
     if broken := [node for node in (*PUCKS, *[SENSOR] * sensor) if states.get(node) == STAT_ERROR]:
         remedy = "switch the arm off and on; if it stays, ask btutil"
         found.append(Finding("wrong", f"bus: nodes {', '.join(map(str, broken))} report an error (STAT 1): {remedy}"))
+    if limits is not None and all(states.get(node) == STAT_READY for node in PUCKS):
+        fine, text = torque_caps(limits, lambda node, number: _property(opened, node, number))
+        found += [Finding("note" if fine else "wrong", text)] * bool(text)
     if SENSOR not in states and sensor:
         found.append(Finding("wrong", "bus: the force sensor (node 8) does not answer: its cable, or --sensor jr3"))
     if SAFETY_MODULE not in states:

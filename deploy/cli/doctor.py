@@ -31,12 +31,12 @@ def run(args: argparse.Namespace) -> int:
     named = "channel" in args or "interface" in args
     (check_flags if named else check_given)(args)
     findings = doctor.versions()
-    rate = args.rate
+    rate, limits = args.rate, None
     if args.artifact:
         finding, artifact = doctor.controller(args.artifact)
         findings.append(finding)
         if artifact is not None:
-            law = 1.0 / artifact.T_s
+            law, limits = 1.0 / artifact.T_s, artifact.arm.limits if artifact.arm is not None else None
             if rate is not None and abs(rate / law - 1.0) > 1e-9:
                 text = f"rate: the controller's law runs at {law:g} Hz, not {rate:g}: freeze another one"
                 findings.append(doctor.Finding("wrong", text))
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     lines, finding = doctor.budget(args.joints, args.sensor == "can", rate)
     findings.append(finding)
     if named:
-        findings += doctor.bus(args, args.sensor == "can")
+        findings += doctor.bus(args, args.sensor == "can", limits)
     else:
         findings.append(doctor.Finding("note", "bus: not looked at; name it by --interface and --channel"))
 

@@ -142,15 +142,17 @@ class Robot(can.Listener):
     def __init__(self, channel, nodes, mode=1, broken=()):
         self.broken = broken
         self.bus = can.Bus(interface="virtual", channel=channel)
-        self.nodes, self.values, self.asked = nodes, {5: 2, 8: mode}, []
+        # STAT, MODE; and of pucks VERS, PIDX, IPNM, MT
+        self.nodes, self.values, self.asked = nodes, {5: 2, 8: mode, 0: 150, 86: 2700, 43: 4860}, []
         self.notifier = can.Notifier(self.bus, [self], timeout=0.005)
 
     def on_message_received(self, msg):
         self.asked.append((msg.arbitration_id, bytes(msg.data)))
         if msg.arbitration_id in self.nodes and len(msg.data) == 1:
             number = msg.data[0]
-            value = 1 if number == 5 and msg.arbitration_id in self.broken else self.values[number]
-            data = bytes((0x80 | number, 0, value, 0, 0, 0))
+            value = msg.arbitration_id if number == 70 else self.values[number]
+            value = 1 if number == 5 and msg.arbitration_id in self.broken else value
+            data = bytes((0x80 | number, 0)) + value.to_bytes(4, "little")
             reply = can.Message(arbitration_id=0x406 | msg.arbitration_id << 5, data=data, is_extended_id=False)
             self.bus.send(reply)
 
@@ -159,13 +161,14 @@ class Robot(can.Listener):
         self.bus.shutdown()
 
 
-def ask(channel, nodes, mode=1, sensor=True, broken=()):
+def ask(channel, nodes, mode=1, sensor=True, broken=(), limits=None, cap=4860):
     """What the doctor finds; its robot is a thread, which on a busy machine may be late."""
     robot = Robot(channel, nodes, mode, broken)
+    robot.values[43] = cap
     try:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(doctor, "_ANSWER_S", 0.2)
-            found = doctor.bus(Namespace(interface="virtual", channel=channel), sensor)
+            found = doctor.bus(Namespace(interface="virtual", channel=channel), sensor, limits)
     finally:
         robot.close()
     assert all(len(data) == 1 for _, data in robot.asked)  # questions, never orders
@@ -206,6 +209,13 @@ def test_a_puck_with_an_error_prevents_a_run(channel, sensor, named):
     found = ask(channel, EVERYBODY, sensor=sensor, broken=(3, 8))
     assert [finding.level for finding in found] == ["ok", "wrong", "ok"]
     assert f"{named} an error (STAT 1)" in found[1].text
+
+
+@pytest.mark.parametrize(("cap", "levels"), [(4860, []), (4700, ["note"]), (2000, ["wrong"])])
+def test_pucks_that_give_less_torque_than_the_controller_counts_on(channel, arm_artifact, cap, levels):
+    found = ask(channel, EVERYBODY, limits=arm_artifact.arm.limits, cap=cap)
+    assert [finding.level for finding in found] == ["ok", *levels, "ok"]
+    assert all("torque" in finding.text for finding in found[1:-1])
 
 
 def test_another_controller_on_the_bus_is_left_alone(channel):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.controller.limits import Limits
+from deploy.doctor_pucks import torque_caps
 from deploy.errors import CalibrationError
 from deploy.safety.clamp import bounds, clamp
 from deploy.safety.puck_caps import SHARE, within_caps
@@ -63,3 +64,40 @@ def test_no_torque_that_the_clamp_lets_pass_is_cut_by_a_puck(ipnm, mt):
         last, most = pucks.torque(units), max(most, *map(abs, units))
         assert max(map(abs, units)) <= mt
     assert most > 0.99 * mt
+
+
+class Told:
+    """Pucks that answer questions; their places in a torque are not their numbers."""
+
+    def __init__(self, caps, ipnm=2700, **changed):
+        self.values = {n: {0: 150, 70: 5 - n, 86: ipnm, 43: round(caps[4 - n] * ipnm)} for n in (1, 2, 3, 4)}
+        for node, values in changed.items():
+            self.values[int(node[-1])].update(values)
+
+    def __call__(self, node, number):
+        return self.values[node].get(number)
+
+
+def test_the_doctor_tells_what_a_run_would():
+    assert torque_caps(LIMITS, Told(USUAL)) == (True, "")
+    fine, said = torque_caps(LIMITS, Told(capped(2, 0.95 * NEEDED[2])))
+    assert (fine, said) == (True, within_caps(LIMITS, capped(2, round(0.95 * NEEDED[2] * 2700) / 2700))[1])
+    fine, said = torque_caps(LIMITS, Told(capped(0, 0.5 * NEEDED[0])))
+    assert not fine
+    assert "the puck of motor 1 cuts its torque at" in said
+
+
+@pytest.mark.parametrize(
+    ("changed", "fine", "says"),
+    [
+        ({"puck3": {0: None}}, True, "do not tell their torque caps"),
+        ({"puck3": {43: None}}, True, "do not tell their torque caps"),
+        ({"puck3": {0: 10}}, False, "36 or newer"),
+        ({"puck3": {70: 1}}, False, "PIDX"),
+        ({"puck3": {86: 0}}, False, "cuts its torque at 0 N m"),
+    ],
+)
+def test_the_doctor_bears_pucks_that_tell_little_or_nonsense(changed, fine, says):
+    found, said = torque_caps(LIMITS, Told(USUAL, **changed))
+    assert found is fine
+    assert says in said
