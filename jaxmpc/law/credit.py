@@ -13,7 +13,12 @@ with the trust t, which falls where a guard had to act, and how much of the usua
 nobody hears a loop ring. Whether the tissue has changed after all, the loop tells: it rings or swings again. The
 schedule is proven (π → 1) by having all of the control for a while; a doubt that comes before that costs most of the
 credit, one that comes after it a little, so that beats in a row are pardoned and a loop with the wrong gains is not.
-No push, or one that is larger than any beat's, and the credit is gone: then the tissue is heard first.
+No push, or one that is larger than any beat's, and the credit is gone: then the tissue is heard first. With a = 1 while
+the schedule has all of the control, D = 1 while doubt takes away what it has of it, q = 1 while the sine tells the
+stiffness, and h = clip(4 s²/H² − 4, 0, 1) where the push is too large, times in s,
+
+    κ̇ = (10 q + 1) a (1 − D) (1 − κ) − ((0.6 + 3 (1 − p)) (1 − a) + 50 h + (20 + 800 (1 − π)) D) κ
+    π̇ = a (1 − π)/0.35 − (1 − a) π/0.8
 """
 
 from jaxmpc.law.ops import Ops

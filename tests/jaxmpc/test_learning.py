@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.signal
 from msgspec.structs import replace as changed
 
 from jaxmpc import Experiment, InputError, Params, design, evaluate
@@ -71,6 +72,45 @@ def test_a_rate_that_steps_is_followed_and_the_phase_never_jumps() -> None:
     assert np.max(np.abs(turned - known.rate[:-1])) <= PULLING + 1e-3
 
 
+def swept_tip(seconds: float) -> np.ndarray:
+    """Speeds of a tip that is slower than any heart, then faster than any, then hardly moves, then does again [m/s]."""
+    at = np.arange(round(seconds / T_s)) * T_s / seconds
+    frequency = np.interp(at, [0.0, 0.25, 0.6, 0.7, 0.71, 1.0], [0.45, 0.45, 3.3, 3.3, 1.4, 1.4])
+    size = np.select([at < 0.7, at < 0.85], [3e-3, 3e-5], 3e-3)
+    speed: np.ndarray = np.gradient(size * np.sin(2.0 * np.pi * T_s * np.cumsum(frequency)), T_s)
+    return speed
+
+
+def test_what_is_known_of_the_heart_is_what_the_equations_say() -> None:
+    """In complex numbers, with scipy's filters and exact rotations; 2.5e-9 m² count as half a heart."""
+    finder, speeds, half = LEARNING.finder, swept_tip(20.0), 2.5e-9
+    kept = 1.0 - finder.slow
+    once = scipy.signal.lfilter([1.0, -1.0], [1.0, -kept], T_s * np.cumsum(speeds))
+    displacement = scipy.signal.lfilter([kept, -kept], [1.0, -kept], once)
+    rate, phase, x, expected, held = finder.first, 0.0, 0j, [], 0
+    for y in displacement:
+        share = rate * T_s / (2.0 * np.pi * finder.cycles)
+        x = (1.0 - share) * np.exp(1j * rate * T_s) * x + share * y
+        size = abs(x) ** 2 + half
+        stray = (x.conjugate() * y).imag * share / (T_s * size)
+        held += abs(stray) > 3.0
+        phase += rate * T_s + finder.pulling * T_s * np.sin(np.angle(x) - phase) * abs(x) / np.sqrt(size)
+        rate = np.clip(rate + finder.following * share * np.clip(stray, -3.0, 3.0), finder.least, finder.most)
+        expected.append((rate, np.cos(phase), np.sin(phase), x.real, x.imag, abs(x) ** 2 / size))
+    state, found = pulse.init(finder, 0.0), []
+    for speed in speeds.tolist():
+        state, heard = pulse.step(finder, state, speed, FLOATS)
+        found.append((state.rate, *state.phase, *state.turning, heard))
+    rates, sureness = np.array(expected)[:, 0], np.array(expected)[:, 5]
+    assert (rates.min(), rates.max()) == (finder.least, finder.most), "it meets both bounds"
+    assert held > 100
+    assert sureness.min() < 0.3
+    # The law turns by its angle plus a sixth of its cube, up to 0.7 mrad/s too fast; in the seconds in which φ is half
+    # a turn away from arg x, where the sine drives it off, that grows to 30 mrad.
+    apart = np.max(np.abs(np.array(found) - np.array(expected)), axis=0)
+    assert np.all(apart < [2e-3, 0.06, 0.06, 1e-6, 1e-6, 1e-3]), apart
+
+
 def test_a_tip_that_rests_is_no_heart() -> None:
     state, noise = pulse.init(LEARNING.finder, 0.0), np.random.Generator(np.random.Philox(3))
     for speed in 1e-4 * noise.standard_normal(5000):
@@ -110,6 +150,49 @@ def test_of_an_error_that_does_not_repeat_hardly_anything_is_used() -> None:
         drawn.append(slow)
         sums.append(slow + added)
     assert np.std(sums[5000:]) < 1.05 * np.std(drawn[5000:])
+
+
+def test_what_is_learned_is_what_the_equations_say() -> None:
+    """In complex numbers: rates at which harmonics fade, authority that comes and goes, errors of any size."""
+    constants = LEARNING._replace(gains=tuple(3.0 * gain for gain in LEARNING.gains))  # soon above the largest force
+    t = T_s * np.arange(16_000)
+    rates = 2.0 * np.pi * np.interp(t, [0.0, 8.0, 12.0, 16.0], [1.265, 1.265, 2.0, 1.5])
+    phases, random = T_s * np.cumsum(rates), np.random.Generator(np.random.Philox(7))
+    authorities = np.interp(t, [0.0, 1.0, 12.0, 13.0, 14.0, 15.0], [0.0, 1.0, 1.0, 0.3, 0.3, 1.0])
+    errors = 0.25 * np.cos(phases) + 0.05 * np.cos(6.0 * phases + 1.0) + 0.02 * random.standard_normal(len(t))
+    errors += 0.5 * np.exp(-(((t % 3.0 - 1.5) / 0.03) ** 2)) + np.where(t > 14.0, 0.1, 0.0)
+    low_pass = [LEARNING.smoothing], [1.0, LEARNING.smoothing - 1.0]
+    slow = scipy.signal.lfilter(*low_pass, scipy.signal.lfilter(*low_pass, errors))
+
+    n, gains = np.arange(1, 9), np.asarray(constants.gains)
+    c, h, of_whole, of_without, expected = np.zeros(8, complex), 0.0, 0.0, 0.0, []
+    for e, error, rate, phase, authority in zip(slow, errors, rates, phases, authorities, strict=True):
+        u, shares = np.exp(1j * n * phase), np.clip((LEARNING.highest - n * rate) / 12.0, 0.0, 1.0)
+        rho = np.sum(shares * c * u).real
+        e_0 = e - h * rho
+        e_1 = e_0 + rho
+        of_whole += LEARNING.judging * rate * (e_1**2 - of_whole)
+        of_without += LEARNING.judging * rate * (e_0**2 - of_without)
+        c = c - authority * gains * shares * rate * np.clip(e_1, -0.1, 0.1) * u.conj()
+        h = authority * np.clip(2.0 * (1.0 - of_whole / (of_without + 1e-12)), 0.0, 1.0)
+        h *= np.clip(2.0 - abs(error) / 0.3, 0.0, 1.0)
+        r = np.sum(shares * c * u * np.exp(1j * n * rate * LEARNING.lead)).real
+        expected.append((h * np.clip(r, -1.0, 1.0), h, r, e_1))
+
+    learned, found = repetition.nothing(constants, 0.0), []
+    for error, rate, phase, authority in zip(
+        *map(np.ndarray.tolist, (errors, rates, phases, authorities)), strict=True
+    ):
+        known = pulse.Pulse(rate, (np.cos(phase), np.sin(phase)), (0.0, 0.0), (0.0, 0.0))
+        beat = repetition.beat_of(constants, known, FLOATS)
+        learned, added = repetition.step(constants, learned, beat, error, authority, FLOATS)
+        found.append((added, learned.used))
+    _, used, wanted, whole = np.abs(expected).T
+    assert wanted.max() > 1.1, "the largest force acts"
+    assert used.max() == 1.0
+    assert (whole > 0.1).any(), "an error too large to learn from acts"
+    assert np.count_nonzero((used > 0.0) & (used < 0.9)) > 1000
+    np.testing.assert_allclose(found, np.array(expected)[:, :2], rtol=0, atol=1e-9)  # sums in another order
 
 
 def resonators(rate: float, gains: Any = LEARNING) -> tuple[HeldBeat, Any]:
