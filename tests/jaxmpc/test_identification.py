@@ -15,7 +15,7 @@ from jaxmpc.law import identification
 from jaxmpc.law.belief import decide
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.ops import FLOATS
-from jaxmpc.law.stiffness import SILENT, UNHEARD, unknown
+from jaxmpc.law.stiffness import SILENT, UNHEARD, Alarm, unknown
 from jaxmpc.loop.linear import AxisSignals, advance, start
 from jaxmpc.stability.loop import contact_of
 
@@ -112,6 +112,68 @@ def test_the_lock_in_is_what_scipy_makes_of_the_same_signals(gains, fly) -> None
     assert found == pytest.approx(expected[-1], rel=1e-9)
     assert found == pytest.approx(810.0, rel=0.02)
     assert lead == pytest.approx((Y * X.conj())[-1].imag / (Y * X.conj())[-1].real, rel=1e-6)
+
+
+def test_all_that_is_heard_is_what_scipy_makes_of_the_same_signals(gains) -> None:
+    """With the sine, the control and pushes of other axes coming and going as no flight has it."""
+    constants = gains.schedule.identification
+    t, random = T_s * np.arange(6000), np.random.default_rng(8)
+    listening = np.interp(t, [0.2, 1.2, 3.0, 3.5, 4.5, 5.0], [0.0, 1.0, 1.0, 0.3, 0.3, 0.0])
+    authority = np.interp(t, [0.0, 2.0, 3.0, 6.0], [0.0, 0.0, 1.0, 0.4])
+    others = np.select([t < 1.5, t < 4.0], [0.0, 1.1 * 0.09**2], 0.02)
+    angle = 2.0 * np.pi * 17.0 * T_s * np.arange(1, 6001)
+    tip = 2e-4 * np.sin(angle) + 1e-4 * np.sin(2.0 * np.pi * 1.2 * t) + 1e-6 * random.standard_normal(6000)
+    force, wanted = 700.0 * tip - 5.0 + 0.02 * random.standard_normal(6000), -5.0 + 0.05 * np.sin(t) - 0.3 * (t > 5.0)
+    force += 0.004 * np.cos(angle)
+
+    def low_pass(share: float, signal: np.ndarray) -> np.ndarray:
+        found: np.ndarray = lfilter([share], [1.0, share - 1.0], signal)
+        return found
+
+    def mixed(signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        on = np.clip(1e3 * listening, 0.0, 1.0)
+        once = low_pass(constants.mixing, on * np.diff(signal, prepend=signal[0]) * np.exp(-1j * angle))
+        twice = low_pass(constants.mixing, once)
+        return twice, low_pass(constants.mixing, twice)
+
+    (Y2, Y), (X2, X) = mixed(force), mixed(tip)
+    stiffness = (Y * X.conj()).real / (np.abs(X) ** 2 + 1e-18)
+    rest = low_pass(constants.averaging, np.abs(Y2 - Y - stiffness * (X2 - X)) ** 2)
+    heard = low_pass(constants.averaging, listening)
+    width = constants.confidence * np.sqrt(1.5 * (rest + 1e-12) / (heard * np.abs(Y) ** 2 + 1e-12))
+    answer = 2.0 * (Y * np.exp(1j * angle) / (1.0 - np.exp(-2j * np.pi * 17.0 * T_s))).real
+    error = force - answer - wanted
+    upset, strain = low_pass(T_s / 0.1, error**2), low_pass(T_s / 1.0, error**2)
+    # A filter of fading memory predicts a parabola whole, and has its poles at one place.
+    pole = np.exp(-T_s / 0.0035)
+    missed = lfilter(np.poly([1.0] * 3), np.poly([pole] * 3), force - force[0])
+    burst, noise, expected = low_pass(T_s / 0.03, missed**2), 0.0, []
+    for k, e in enumerate(missed):
+        push = np.clip(4.0 * max(strain[k - 1] if k else 0.0, others[k]) / 0.09**2 - 4.0, 0.0, 1.0)
+        noise += min(constants.watching * (1.0 + 20.0 * (1.0 - authority[k]) * push), 0.5) * (e * e - noise)
+        expected.append((noise, burst[k], upset[k], strain[k], rest[k], heard[k], min(width[k], 10.0), answer[k]))
+
+    state, found = unknown(constants, force[0])._replace(last=(force[0], tip[0])), []
+    for k in range(6000):
+        state = state._replace(listening=listening[k], authority=authority[k], unrest=0.0)
+        around = Alarm(0.0, others[k])
+        state = identification.step(constants, state, force[k], tip[k], wanted[k], 0.0, around, FLOATS)
+        of_wave = identification.dither(constants, state._replace(listening=listening[k]))
+        assert of_wave == pytest.approx(constants.amplitude * listening[k] * np.sin(angle[k]), abs=1e-9)
+        of_state = state.noise, state.burst, state.upset, state.strain, state.rest, state.heard, state.width
+        found.append((*of_state, identification.answer(constants, state)))
+    assert np.median(width[2000:3000]) < 0.1, "the sine is heard"
+    assert strain[4900] < 0.09**2 < strain[-1], "the push is of other axes first, then its own"
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_a_wave_that_has_shrunk_or_grown_comes_back(gains) -> None:
+    """Rounding would have it so over hours; the angle stays what it is."""
+    for size in (0.98, 1.02):
+        state = unknown(gains.schedule.identification, 0.0)._replace(wave=(0.6 * size, 0.8 * size))
+        for _ in range(3):
+            state, *_ = identification._listen(gains.schedule.identification, state, 0.0, 0.0, FLOATS)
+        assert np.hypot(*state.wave) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_the_answer_to_the_sine_is_told_apart_from_the_rest_of_the_force(gains) -> None:
