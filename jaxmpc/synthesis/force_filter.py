@@ -15,6 +15,9 @@ from jaxmpc.law.scalar import Scalar
 
 LEAST_NOISE = 1e-6
 """Noise of a sensor that has none, for which no steady filter filters [N]."""
+QUICKEST = 1e3
+"""Largest ω₀ T_s [rad]: a filter as quick as that lets all but a part in 1e12 pass. From 1e4 on it would be all to the
+last bit, and K_y = 1 is no filter of the law."""
 
 
 def force_filter(cutoff: Scalar | None, T_s: Scalar, ops: Ops) -> ForceFilter | None:
@@ -36,9 +39,13 @@ def force_filter(cutoff: Scalar | None, T_s: Scalar, ops: Ops) -> ForceFilter | 
 def cutoff_of(rate_change: float, noise: float, T_s: float) -> float | None:
     """Natural frequency of the filter that an experiment's sensor asks for [rad/s]; None for a change of 0.
 
+    It is no higher than `QUICKEST` allows.
+
     Args:
         rate_change: Standard deviation of the rate's change per sample [N/s].
         noise: Standard deviation of the measured force [N].
         T_s: Sampling time [s].
     """
-    return math.sqrt(rate_change / (max(noise, LEAST_NOISE) * T_s)) if rate_change else None
+    if not rate_change:
+        return None
+    return min(math.sqrt(rate_change / (max(noise, LEAST_NOISE) * T_s)), QUICKEST / T_s)

@@ -16,13 +16,15 @@ from deploy.controller.recomputed_margins import differences
 from jaxmpc import Experiment, InputError, Params, design, evaluate, margins
 from jaxmpc.evaluation import _run
 from jaxmpc.export.freezing import freeze_controller
+from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.law.ops import FLOATS
+from jaxmpc.law.scalar import declared
 from jaxmpc.stability import _block
 from jaxmpc.stability.family import family_margins
 from jaxmpc.stability.loop import contacts_between
 from jaxmpc.stability.presliding import presliding_peak
 from jaxmpc.synthesis import _design
-from jaxmpc.synthesis.force_filter import force_filter
+from jaxmpc.synthesis.force_filter import cutoff_of, force_filter
 from jaxmpc.synthesis.params import by_structure
 
 TISSUES = (375.0, 810.0, 1900.0)
@@ -63,6 +65,16 @@ def test_the_closed_form_answers_the_riccati_equation(ratio: float) -> None:
     if ratio < 1.0:
         np.testing.assert_allclose(np.abs(poles), np.sqrt(ratio / T_s), rtol=1e-2)
         np.testing.assert_allclose(poles.real, -np.abs(poles.imag), rtol=2e-2)
+
+
+@pytest.mark.parametrize("T_s", [1e-4, 1e-3, 0.1])
+def test_a_filter_that_nothing_slows_is_one_that_can_be_frozen(T_s: float) -> None:
+    """Of the quickest change and no noise: ŷ is y, and the rate its difference, to 1e-6; a share below 1 all the same."""
+    found = force_filter(cutoff_of(1e6, 0.0, T_s), T_s, FLOATS)
+    assert found is not None
+    assert found.force_gain < declared(ForceFilter)["force_gain"].below
+    assert found.force_gain == pytest.approx(1.0, abs=1e-11)
+    assert found.rate_gain * T_s == pytest.approx(1.0, rel=1e-5)
 
 
 @pytest.mark.oracle
