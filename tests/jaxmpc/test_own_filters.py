@@ -69,7 +69,7 @@ def test_the_closed_form_answers_the_riccati_equation(ratio: float) -> None:
 
 @pytest.mark.parametrize("T_s", [1e-4, 1e-3, 0.1])
 def test_a_filter_that_nothing_slows_is_one_that_can_be_frozen(T_s: float) -> None:
-    """Of the quickest change and no noise: ŷ is y, and the rate its difference, to 1e-6; a share below 1 all the same."""
+    """Of the quickest change and no noise: ŷ is y, and the rate its difference, to 1e-6; yet a share below 1."""
     found = force_filter(cutoff_of(1e6, 0.0, T_s), T_s, FLOATS)
     assert found is not None
     assert found.force_gain < declared(ForceFilter)["force_gain"].below
