@@ -1,12 +1,14 @@
 """What makes a row a good one: a quantity to be minimised, and limits that it must keep."""
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Any
 
 import msgspec
 
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, counted, nearest
+from jaxmpc.files.toml import without_arrays
 from jaxmpc.quantities import HIGHEST_M_S, MARGINS, METRICS, Quantity
 
 MEASURED: Mapping[str, Quantity] = MappingProxyType({**METRICS, **MARGINS})
@@ -15,7 +17,8 @@ MEASURED: Mapping[str, Quantity] = MappingProxyType({**METRICS, **MARGINS})
 ON_ARM = frozenset({"swing", *(name for name, metric in METRICS.items() if metric.arm_only)})
 """What sweeps of the linear loop do not measure: there it is NaN, or 0 for want of joints."""
 
-Decide = Annotated[int, msgspec.Meta(ge=0, le=100_000)]
+MOST_DECIDED = 100_000
+Decide = Annotated[int, msgspec.Meta(ge=0, le=MOST_DECIDED)]
 DECIDE = 1000
 """Rows that run once more in float64 at most, unless a spec says otherwise."""
 
@@ -38,9 +41,15 @@ class SweepGoal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         for key, name in (("sweep.best", self.best), *((f"sweep.constraints.{n}", n) for n in self.constraints)):
             if name not in MEASURED:
                 raise InputError(key, name, "a metric or margin", nearest(name, list(MEASURED)))
-        for name, limit in self.constraints.items():
-            if limit != limit or abs(limit) == float("inf"):
+        # As plain data, whatever numbers they came in: they are written into manifests.
+        limits = without_arrays(self.constraints)
+        for name, limit in limits.items():
+            number = isinstance(limit, int | float) and not isinstance(limit, bool)
+            if not (number and math.isfinite(limit)):
                 raise InputError(f"sweep.constraints.{name}", limit, "a finite number", "Remove it for no limit.")
+        msgspec.structs.force_setattr(self, "constraints", limits)
+        most = counted("sweep.decide", self.decide, "0 runs none once more.", 0, MOST_DECIDED)
+        msgspec.structs.force_setattr(self, "decide", most)
 
     @property
     def names(self) -> tuple[str, ...]:

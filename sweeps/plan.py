@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc.experiment import Experiment
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, counted
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
 from jaxmpc.files.sealed import LARGEST, canonical_json, digest, write_atomic
 from jaxmpc.quantities import AXES, METRICS, PARAMETERS
@@ -194,15 +194,13 @@ def make_plan(spec: SweepSpec) -> Plan:
     return Plan(msgspec.json.decode(msgspec.json.encode(canonical)), files, spec.goal, spec.engine)
 
 
-def check_chunk(plan: Plan, chunk: int) -> None:
-    """Refuse a chunk that could not be read back.
+def check_chunk(plan: Plan, chunk: int) -> int:
+    """Rows of a chunk; one that could not be read back is refused.
 
     Raises:
-        InputError: It is not positive or too large.
+        InputError: It is no whole number, not positive or too large.
     """
-    most = plan.largest_chunk
-    if not 1 <= chunk <= most:
-        raise InputError("chunk", chunk, f"in [1, {most}] rows", "By default it is a few seconds of work.")
+    return counted("chunk", chunk, "Rows of a file; by default a few seconds of work.", 1, plan.largest_chunk)
 
 
 def describe(plan: Plan) -> str:

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, counted, nearest
 from jaxmpc.status import Status
 from sweeps.axis import SweepAxis
 from sweeps.front import front
@@ -105,9 +105,13 @@ class SweepRows:
         """The best of the rows that keep the constraints.
 
         Args:
-            n: How many at most.
+            n: How many at most, 1 or more.
             max_M_s: Largest accepted worst-case peak sensitivity [-]; None is the spec's.
+
+        Raises:
+            InputError: `n` is no such number, or the limit not finite.
         """
+        n = counted("n", n, "Ask for one row or more.")
         goal = self.goal if max_M_s is None else self.goal.limited({"M_s": max_M_s})
         return self.take(self.ranked(goal)[:n])
 

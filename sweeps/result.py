@@ -163,14 +163,20 @@ class Result(SweepRows):
         return experiment_of(self.plan.with_files(data, folder))
 
     def _check_place(self, place: int) -> None:
-        if not -len(self) <= place < len(self):
+        whole = isinstance(place, int | np.integer) and not isinstance(place, bool)
+        if not (whole and -len(self) <= place < len(self)):
             remedy = (
                 "The best are those that keep the constraints: `jaxmpc sweep best DIR` tells what stands in the way."
             )
             raise InputError("place", place, f"of one of {len(self)} rows", remedy)
 
     def settings(self, place: int) -> dict[str, str]:
-        """What the axes set for one row, for people."""
+        """What the axes set for one row, for people.
+
+        Raises:
+            InputError: There is no such row.
+        """
+        self._check_place(place)
         return {axis.name: axis.label(float(self[axis.name][place])) for axis in self.axes}
 
     def to_csv(self, path: str | Path) -> None:

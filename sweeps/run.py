@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmpc.beside import Beside
+from jaxmpc.files.errors import InputError
 from jaxmpc.status import Status
 from jaxmpc.terminal.progress import Tick
 from jaxmpc.terminal.progress import progress as progress_of
@@ -28,7 +29,7 @@ from sweeps.machine import environment
 from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan, check_chunk, make_plan
 from sweeps.result import Result
-from sweeps.share import Share
+from sweeps.share import Share, check_part
 from sweeps.spec import SweepSpec
 from sweeps.tables import OnError
 from sweeps.writer import Writer
@@ -80,17 +81,20 @@ def run(
         Every row; those that are there, where chunks were set aside or somebody stopped it.
 
     Raises:
-        InputError: The folder belongs to something else, or the chunk is too large.
+        InputError: The folder belongs to something else, or an argument is out of bounds.
         SweepStoppedError: A chunk could not be computed, and `spec.on_error` is "stop".
         OSError: The folder cannot be written, or the disk is full.
     """
     folder, plan, started = Path(folder), make_plan(spec), threading.Event()
-    if chunk is not None:
-        check_chunk(plan, chunk)
+    chunk = None if chunk is None else check_chunk(plan, chunk)
+    part = check_part(part)
+    if not 0.0 < silence < math.inf:
+        raise InputError("silence", silence, "positive and finite [s]", f"{SILENCE:g} s are usual.")
 
     def computed(plan: Plan, folder: Path, chunk: int | None, stop: Callable[[], bool]) -> Result:
+        here = environment(engine_of(plan))
         store.prepare(folder, plan)
-        environments.note(folder, environment(engine_of(plan)))
+        environments.note(folder, here)
         found = chunks.read_chunks(folder, plan, mend=True)
         leases = Leases(folder, silence)
         try:

@@ -6,12 +6,24 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxmpc.files.errors import counted
 from sweeps import chunks
 from sweeps.leases import Leases, Stretch
 from sweeps.plan import Plan
 
 PATIENCE = 0.25
 """Between two looks at what others are doing [s]."""
+
+
+def check_part(part: tuple[int, int]) -> tuple[int, int]:
+    """k and n of the k-th of n parts.
+
+    Raises:
+        InputError: There is no such part.
+    """
+    k, n = part
+    n = counted("part", n, "Write (2, 3) for the second of three.")
+    return counted("part", k, f"There are {n} parts.", 1, n), n
 
 
 class Share:

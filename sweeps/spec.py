@@ -1,25 +1,22 @@
 """What is swept, from a TOML file: experiment, base controller, axes, and what makes a row a good one."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from jaxmpc import described
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, counted, nearest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.sampling import check_sampling
-from jaxmpc.world.tissue import LAWS
-from sweeps.goal import MEASURED, ON_ARM, SweepGoal, columns_kept
+from sweeps.effect import check_effect, check_filters
+from sweeps.goal import MEASURED, SweepGoal, columns_kept
 from sweeps.reading import flattened, read_space, stiffness_set
 from sweeps.space import SweepSpace
 from sweeps.tables import OnError, Precision, RefineTable, SweepTable
-from sweeps.targets import OWN_FILTERS
-
-DAMPING_FILTERS = ("velocity_lowpass", "velocity_cutoff")
-"""What only damping by a sampled velocity passes through."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +46,16 @@ class SweepSpec:
     on_error: OnError = "keep"
     refine: RefineTable | None = None
     engine: str | None = None
+
+    def __post_init__(self) -> None:
+        for key, value, known in (("precision", self.precision, Precision), ("on_error", self.on_error, OnError)):
+            if value not in get_args(known):
+                raise InputError(f"sweep.{key}", value, "a known word", nearest(value, list(get_args(known))))
+        for name in self.kept:
+            if name not in MEASURED:
+                raise InputError("sweep.columns", name, "a metric or margin", nearest(name, list(MEASURED)))
+        if lost := next((name for name in self.goal.names if name not in self.kept), None):
+            raise InputError("sweep.columns", ", ".join(self.kept), f"with {lost}", "It ranks or limits the rows.")
 
     def __repr__(self) -> str:
         lines = [
@@ -98,11 +105,11 @@ class SweepSpec:
         limits = {} if table.constraints is None else {"constraints": table.constraints}
         goal = SweepGoal(table.best, decide=table.decide, **limits)
         space = read_space(table, params, experiment, folder)
-        _check_filters(space, params)
+        check_filters(space, params)
         kept = columns_kept(table.columns, goal)
         spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)
         spec = replace(spec, refine=_refine(data["refine"], spec)) if "refine" in data else spec
-        _check_effect(spec)
+        check_effect(spec)
         check_sampling(params, _slowest(spec))
         return spec
 
@@ -127,11 +134,19 @@ class SweepSpec:
             error.key = f"{root}.{error.key.removeprefix(f'{root}.')}"
             raise
 
-    def only(self, rows: tuple[int, ...]) -> "SweepSpec":
-        """The same sweep of some rows alone, which keep their numbers and their bits."""
+    def only(self, rows: Sequence[int]) -> "SweepSpec":
+        """The same sweep of some rows alone, which keep their numbers and their bits.
+
+        Raises:
+            InputError: There are none, or one is no number of a row.
+        """
         from msgspec.structs import replace as changed
 
-        return replace(self, space=changed(self.space, only=tuple(sorted(rows))))
+        if not len(rows):
+            raise InputError("rows", "none", "the number of one row at least", "Ask for rows that are there.")
+        remedy = "Rows are counted from 0, those of a grid with Hu > Hp too."
+        numbers = {counted("rows", row, remedy, 0, self.space.count - 1) for row in rows}
+        return replace(self, space=changed(self.space, only=tuple(sorted(numbers))))
 
 
 def _slowest(spec: SweepSpec) -> float:
@@ -139,71 +154,6 @@ def _slowest(spec: SweepSpec) -> float:
     base = spec.experiment.sampling_time
     axes = [axis for axis in spec.space.axes if axis.name == "sampling_time"]
     return max((axis.setting(value, base) for axis in axes for value in axis.values), default=base)
-
-
-def _check_filters(space: SweepSpace, params: Params) -> None:
-    """Refuse a filter of the experiment that every row replaces by its own.
-
-    Raises:
-        InputError: Such a filter is swept.
-    """
-    swept = {axis.name for axis in space.axes}
-    for key, own in OWN_FILTERS.items():
-        if key in swept and (own in swept or getattr(params, own) is not None):
-            raise InputError(
-                f"sweep.axes.{key}", "swept", f"swept where the controller has no {own}", f"Sweep {own} instead."
-            )
-
-
-def _check_effect(spec: SweepSpec) -> None:
-    """Refuse what no run depends on, neither one of the sweep nor one of its refinement.
-
-    Raises:
-        InputError: Such an axis is swept.
-    """
-    refine, swept = spec.refine, {axis.name for axis in spec.space.axes}
-    changes = [] if refine is None else [stage.experiment for stage in refine.stages]
-    changes += [] if refine is None or refine.rerun is None else [refine.rerun.experiment]
-    met = [spec.experiment, *(spec.on(each).experiment for each in changes)]
-    linear = "physics" not in swept and all(each.physics == "linear" for each in met)
-    if linear:
-        _check_ranked(spec)
-    for name in sorted(swept):
-        if linear and name.startswith(("arm.", "tissue.")):
-            raise _idle(name, "where runs are on the arm: the linear loop has none", 'Set experiment.physics = "wam".')
-        constant = name.removeprefix("tissue.").partition(".")[0] if name.startswith("tissue.") else None
-        laws = [law.name for law in LAWS.values() if constant in [each.name for each in law.parameters]]
-        if laws and "tissue.kind" not in swept and not any(each.tissue.kind in laws for each in met):
-            remedy = f'Set experiment.tissue.kind = "{laws[0]}".'
-            raise _idle(name, f"where the tissue is of the law {' or '.join(laws)}", remedy)
-        if name == "sensor.seed" and "sensor.noise" not in swept and not any(each.sensor.noise for each in met):
-            raise _idle(name, "where the sensor has noise", "Set sensor.noise, or leave the seed out.")
-        if name in DAMPING_FILTERS and linear and "damping" not in swept:
-            if all(each.damping == "ideal" for each in met):
-                raise _idle(name, "where the damping is sampled", 'Set experiment.damping = "sampled".')
-        if name == "motion.seed" and not swept & {"motion.kind", "motion.phases"}:
-            if not any(each.motion.drawn for each in met):
-                remedy = 'Set motion.kind = "rhythm" or motion.phases = "random".'
-                raise _idle(name, "where something of the heart's motion is drawn", remedy)
-
-
-def _check_ranked(spec: SweepSpec) -> None:
-    """Refuse to rank rows of the linear loop by what is measured on the arm alone.
-
-    Raises:
-        InputError: They would be.
-    """
-    front = spec.refine.goals if spec.refine is not None and spec.refine.method == "pareto" else ()
-    ranked = {"sweep.best": [spec.goal.best], "sweep.constraints": spec.goal.constraints, "refine.goals": front}
-    for key, names in ranked.items():
-        if name := next((name for name in names if name in ON_ARM), None):
-            remedy = 'Only on the arm it is measured: set experiment.physics = "wam", or take another metric.'
-            raise InputError(key, name, "what sweeps of the linear loop measure", remedy)
-
-
-def _idle(name: str, where: str, remedy: str) -> InputError:
-    """The error of an axis that has no effect."""
-    return InputError(f"sweep.axes.{name}", "swept", f"swept {where}", remedy)
 
 
 def _refine(data: Any, spec: SweepSpec) -> RefineTable:

@@ -1,5 +1,6 @@
 """Wrong input, said in one sentence that names the key, the value, the bound and the remedy."""
 
+import operator
 import textwrap
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -88,6 +89,29 @@ def check_type(key: str, value: Any, kind: type, remedy: str) -> None:
     """
     if not isinstance(value, kind):
         raise InputError(key, value, f"of the type {kind.__name__}", remedy)
+
+
+def counted(key: str, value: Any, remedy: str, least: int = 1, most: int | None = None) -> int:
+    """A whole number within bounds, numpy's and JAX's too, as Python's int.
+
+    Args:
+        key: What is counted, for messages.
+        value: As the caller has it.
+        remedy: What to do about another, a sentence.
+        least: The smallest that is taken.
+        most: The largest; None is any.
+
+    Raises:
+        InputError: It is no whole number, or out of bounds.
+    """
+    try:
+        found = least - 1 if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        found = least - 1
+    if found < least or (most is not None and found > most):
+        bound = f"a whole number of at least {least}" if most is None else f"a whole number in [{least}, {most}]"
+        raise InputError(key, value, bound, remedy)
+    return found
 
 
 def nearest(name: Any, known: list[str]) -> str:

@@ -9,9 +9,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxmpc.files.errors import InputError, nearest, within
+from jaxmpc.files.toml import without_arrays
 from jaxmpc.law.gains import KNOTS_APART
 from jaxmpc.law.stiffness import StiffnessIdentification
 
@@ -73,10 +73,11 @@ class Listening:
             bound = "rising, each in [1, 1e6] N/m and 0.1 % or more above the one before"
             raise InputError("listening.stiffness", list(places), bound, "One for every knot.")
         for name, (low, high, unit) in BOUNDS.items():
-            value = getattr(self, name)
+            value = without_arrays(getattr(self, name))
             kind = int if name == "harmonics" else int | float
             if isinstance(value, bool) or not (isinstance(value, kind) and low <= value <= high):
                 raise InputError(f"listening.{name}", value, within(low, high, unit), "Leave it out.")
+            object.__setattr__(self, name, value)
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> "Listening":
@@ -124,7 +125,7 @@ def _numbers(places: Any) -> tuple[float, ...]:
     Raises:
         InputError: They are something else.
     """
-    given = places.tolist() if isinstance(places, np.ndarray) else places
+    given = without_arrays(places)
     if not isinstance(given, list | tuple) or not all(isinstance(K, Real) and not isinstance(K, bool) for K in given):
         raise InputError("listening.stiffness", places, "numbers [N/m]", "One for every knot.")
     return tuple(map(float, given))

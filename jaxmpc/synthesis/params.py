@@ -30,15 +30,15 @@ class Params(eqx.Module, ParameterValues):
             or knots are no controllers of the same batch.
     """
 
-    architecture: Architecture = eqx.field(static=True, default="mpc-aob")
+    architecture: Architecture = eqx.field(static=True, default="mpc-aob", converter=without_arrays)
     """"mpc-aob", "aob" (u = F_d) or "mpc" (on the open-loop plant)."""
-    disturbance_order: Order = eqx.field(static=True, default=1)
+    disturbance_order: Order = eqx.field(static=True, default=1, converter=without_arrays)
     """N, order of the random walk that the active state is taken for: 1 constant, 2 ramp, 3 parabola between samples.
     The same bandwidth needs a lower Q_p the higher N is."""
-    designed_delay: Delay = eqx.field(static=True, default=1)
+    designed_delay: Delay = eqx.field(static=True, default=1, converter=without_arrays)
     """After how many samples commands act, as the design assumes: 1, as in the paper, or 2."""
 
-    guarded: bool = eqx.field(static=True, default=False)
+    guarded: bool = eqx.field(static=True, default=False, converter=without_arrays)
     """Whether the gain falls while the force swings faster than a heart can (`law.gain_backoff`); on the arm alone."""
 
     listening: Listening | None = eqx.field(static=True, default=None)
@@ -176,12 +176,12 @@ class Params(eqx.Module, ParameterValues):
         """One batch of several controllers of the same structure; scalars beside diagonals are widened.
 
         Raises:
-            InputError: The batch is empty, holds something else, or mixes architectures, disturbance orders, own
-                filters with none, or batches of several shapes.
+            InputError: The batch is empty or holds something else, or is no such thing; or it mixes architectures,
+                disturbance orders, own filters with none, or batches of several shapes.
         """
-        stacked = [] if isinstance(batch, Params) else list(batch)
+        stacked = list(batch) if isinstance(batch, Iterable) and not isinstance(batch, Params) else [batch]
         wrong = [each for each in stacked if not isinstance(each, Params)]
-        if wrong or not stacked:
+        if wrong or not stacked or isinstance(batch, Params):
             given = "one Params" if isinstance(batch, Params) else wrong[0] if wrong else "empty"
             raise InputError("batch", given, "a list of Params", "Write Params.stack([first, second, …]).")
         if len(shapes := sorted({p.batch_shape for p in stacked})) > 1:

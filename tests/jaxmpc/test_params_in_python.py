@@ -11,6 +11,7 @@ import pytest
 
 from jaxmpc import InputError, Params
 from jaxmpc.quantities import HU_MAX
+from jaxmpc.synthesis.listening import Listening
 
 BATCH = Params.stack([Params(), Params(lam=0.3)])
 
@@ -102,3 +103,44 @@ def test_whatever_can_be_gone_through_is_stacked() -> None:
     assert np.asarray(Params.stack(Params(lam=lam) for lam in (0.1, 0.2)).lam).tolist() == [0.1, 0.2]
     with pytest.raises(InputError, match="batch = text: must be a list of Params"):
         Params.stack([Params(), "text"])  # type: ignore[list-item]  # on purpose
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "kept"),
+    [
+        *[("disturbance_order", given, 2) for given in (np.int64(2), np.uint8(2), np.array(2))],
+        *[("designed_delay", given, 2) for given in (np.int32(2), jnp.asarray(2))],
+        *[("guarded", given, True) for given in (np.True_, np.array(True), jnp.asarray(True))],
+        ("architecture", np.str_("aob"), "aob"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_what_is_no_number_to_be_tuned_may_be_numpys_too(name: str, given: Any, kept: Any) -> None:
+    built, usual = Params(**{name: given}), Params(**{name: kept})
+    assert type(getattr(built, name)) is type(kept)
+    assert built.structure == usual.structure
+    assert built.to_dict() == usual.to_dict() == Params.from_dict({name: given}).to_dict()
+    assert jax.tree.structure(built) == jax.tree.structure(usual)
+
+
+@pytest.mark.parametrize("value", [2.0, np.float64(2.0), True, np.True_, np.array([2]), "2", None, 4, np.int64(-1)])
+@pytest.mark.parametrize("name", ["disturbance_order", "designed_delay"])
+def test_what_is_no_whole_number_stays_refused(name: str, value: Any) -> None:
+    with pytest.raises(InputError, match=rf"^{name} = "):
+        Params(**{name: value})
+
+
+def test_listening_takes_numbers_of_numpy_and_keeps_pythons() -> None:
+    given = Listening(jnp.array([375.0, 810.0]), amplitude=np.float32(0.25), harmonics=np.int64(3))  # type: ignore[arg-type]  # on purpose
+    assert given == Listening((375.0, 810.0), amplitude=0.25, harmonics=3)
+    assert given.to_dict() == {**Listening((375.0, 810.0)).to_dict(), "amplitude": 0.25, "harmonics": 3}
+    assert {type(value) for value in given.to_dict().values()} == {list, float, int}
+    for wrong in ({"harmonics": 2.5}, {"harmonics": True}, {"amplitude": np.nan}, {"amplitude": np.True_}):
+        with pytest.raises(InputError, match=rf"^listening\.{next(iter(wrong))} = "):
+            Listening((375.0, 810.0), **wrong)  # type: ignore[arg-type]  # on purpose
+
+
+@pytest.mark.parametrize("batch", [[], None, 3, "text", Params()])
+def test_what_is_no_batch_is_told(batch: Any) -> None:
+    with pytest.raises(InputError, match=r"^batch = .*: must be a list of Params"):
+        Params.stack(batch)

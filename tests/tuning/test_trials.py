@@ -312,3 +312,14 @@ def test_what_cannot_be_tried_is_refused() -> None:
         job(seed=-1)
     with pytest.raises(InputError, match="trials"):
         trials.run(job(), 0)
+
+
+def test_counts_and_seeds_of_trials_may_be_numpys() -> None:
+    base = Experiment.published("table-1-wam")
+    assert Job((Params(),), base, HARD, np.int64(3)).digest == Job((Params(),), base, HARD, 3).digest  # type: ignore[arg-type]  # on purpose
+    for seed in (-1, 10**9, 1.5, True):
+        with pytest.raises(InputError, match=r"^seed = "):
+            Job((Params(),), base, HARD, seed)  # type: ignore[arg-type]  # on purpose
+    for count in (0, -1, 1.5, True):
+        with pytest.raises(InputError, match=r"^trials = "):
+            trials.run(Job((Params(),), base), count)  # type: ignore[arg-type]  # on purpose

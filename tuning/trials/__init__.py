@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, counted
 from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
 from jaxmpc.terminal.progress import progress
 from tuning.trials import drawn
@@ -57,8 +57,7 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False, to
     Raises:
         InputError: The count is out of bounds, or the folder holds blocks of another job.
     """
-    if not 1 <= count <= MOST:
-        raise InputError("trials", count, f"in [1, {MOST}]", "10000 is usual.")
+    count = counted("trials", count, "10000 is usual.", 1, MOST)
     blocks: list[Outcomes] = []
     lost, swinging = np.zeros((2, len(job.controllers)), int)
     with progress("trials", count, "trials", show) as tick:

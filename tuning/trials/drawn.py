@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from jaxmpc.experiment import Experiment
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, counted
 from jaxmpc.files.sealed import digest
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.sampling import check_sampling
@@ -106,8 +106,8 @@ class Job:
     def __post_init__(self) -> None:
         if self.base.physics != "wam":
             raise InputError("physics", self.base.physics, '"wam" for trials', "Take table-1-wam, or set it so.")
-        if not 0 <= self.seed < 10**9:
-            raise InputError("seed", self.seed, "in [0, 1e9)", "Any other number draws other trials.")
+        seed = counted("seed", self.seed, "Any other number draws other trials.", 0, 10**9 - 1)
+        object.__setattr__(self, "seed", seed)
         for params in self.controllers:
             check_sampling(params, self.base.sampling_time)
         # Those of the spread are for 1 ms.
