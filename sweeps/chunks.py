@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, UnreadableError
 from jaxmpc.files.foreign import read_bytes
 from jaxmpc.files.sealed import LARGEST, SealError, seal, unseal, write_atomic
 from sweeps.plan import SCHEMA, Columns, Plan
@@ -45,6 +45,9 @@ def read_chunks(folder: Path, plan: Plan, *, known: StoredChunks | None = None, 
         plan: What is swept.
         known: What is known already; only chunks with other rows are read, and added to it.
         mend: Whether to put damaged chunks out of the way, to be computed again.
+
+    Raises:
+        UnreadableError: Of `mend` alone: the system does not let a chunk be read, which may be whole all the same.
     """
     found = _nothing(plan) if known is None else known
     for path in chunk_files(folder):
@@ -52,13 +55,19 @@ def read_chunks(folder: Path, plan: Plan, *, known: StoredChunks | None = None, 
             continue
         try:
             first, last, arrays = _read_chunk(path, plan)
-        except FileNotFoundError:
+        except UnreadableError as error:
+            if mend:
+                remedy = f"{error.remedy} It may be whole: mend that, or move it away to have its rows computed again."
+                raise UnreadableError(error.key, error.value, error.bound, remedy) from None
+            log.warning("%s is left out: %s", path.name, error.remedy)
             continue
         except SealError as error:
+            if not os.path.lexists(path):
+                continue  # another process was faster
             fate = "is computed again" if mend else "is left out, until the sweep is run again"
             log.warning("%s %s: %s", path.name, fate, error)
             if mend:
-                with suppress(FileNotFoundError):  # another process was faster
+                with suppress(FileNotFoundError):  # the same
                     os.replace(path, path.with_name(path.name + DAMAGED))
             continue
         found.add(first, last, arrays)
@@ -104,6 +113,8 @@ def write_chunk(folder: Path, plan: Plan, first: int, last: int, columns: Mappin
 def _read_chunk(path: Path, plan: Plan) -> tuple[int, int, Columns]:
     try:
         header, arrays = unseal(read_bytes(path, LARGEST))
+    except UnreadableError:
+        raise
     except InputError as error:
         raise SealError(f"{error}") from None
     if header.get("spec_hash") != plan.spec_hash or header.get("schema") != SCHEMA:

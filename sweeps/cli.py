@@ -115,6 +115,10 @@ def _sweep(args: argparse.Namespace) -> int:
         begun = check_refined(folder, spec)
     else:
         begun = store.check(folder, plan)
+    if args.cluster is not None and not args.dry_run:
+        from sweeps.cluster import check_answers
+
+        check_answers(args.cluster)
     left_out = plan.space.count - len(plan.rows) if plan.space.only is None else 0
     print(f"sweep {spec.name}, spec {plan.spec_hash[:12]}\n{describe(plan)}")
     print(f"  rows        {len(plan.rows)}" + (f" ({left_out} more with Hu > Hp are left out)" if left_out else ""))

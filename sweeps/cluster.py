@@ -114,16 +114,8 @@ class DaskCrew(Crew):
                     worker_dashboard_address=None,
                     silence_logs="ERROR",
                 )
-            self._client = self._connected(distributed, address or self._local)
+            self._client = _connected(distributed, address or self._local)
         self._landed: queue.SimpleQueue[Any] = queue.SimpleQueue()
-
-    @staticmethod
-    def _connected(distributed: Any, where: Any) -> Any:
-        try:
-            return distributed.Client(where, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
-            remedy = "Start one: dask scheduler --host 127.0.0.1."
-            raise InputError("--cluster", where, f"a scheduler that answers ({error})", remedy) from None
 
     def close(self) -> None:
         """Let go of the scheduler; workers that were started here end."""
@@ -209,6 +201,25 @@ def check_address(address: str) -> None:
     if protocol in ("tls", "wss") and not distributed.Security().get_connection_args("client").get("ssl_context"):
         remedy = "Name them in its settings (distributed.comm.tls.ca-file and client.cert, client.key)."
         raise InputError("--cluster", address, "given where Dask knows its certificates", remedy)
+
+
+def check_answers(address: str) -> None:
+    """Refuse to begin with a scheduler that does not answer.
+
+    Raises:
+        InputError: It does not, or Dask is not installed.
+    """
+    distributed, config = _dask()
+    with config.set(_SETTINGS):
+        _connected(distributed, address).close()
+
+
+def _connected(distributed: Any, where: Any) -> Any:
+    try:
+        return distributed.Client(where, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        remedy = "Start one: dask scheduler --host 127.0.0.1."
+        raise InputError("--cluster", where, f"a scheduler that answers ({error})", remedy) from None
 
 
 def _dask() -> tuple[Any, Any]:

@@ -47,6 +47,10 @@ class InputError(ValueError):
         return replace(self, file=file, line=line)
 
 
+class UnreadableError(InputError):
+    """A file that is there, and of which the system does not let this process know the content."""
+
+
 def plain(text: str, longest: int = LONGEST_TEXT) -> str:
     """Text for one line of a terminal, whoever wrote it.
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jaxmpc.files.errors import InputError, plain
+from jaxmpc.files.errors import InputError, UnreadableError, plain
 
 LARGEST_TEXT = 2 * 2**20
 """Largest TOML file [bytes], which takes a second or two to parse; a spec has a few thousand."""
@@ -38,6 +38,7 @@ def read_bytes(path: str | Path, largest: int = LARGEST_TEXT, key: str | None = 
 
     Raises:
         InputError: There is no such file, it is no file but a folder, a pipe or a device, or it is too large.
+        UnreadableError: It is there, and the system does not give what is in it: a right, a disk, a network.
     """
     path, named = Path(path), str(path) if key is None else key
     found = "not readable" if key is None else str(path)
@@ -53,7 +54,8 @@ def read_bytes(path: str | Path, largest: int = LARGEST_TEXT, key: str | None = 
     except InputError:
         raise
     except OSError as error:
-        raise InputError(named, found, "a readable file", f"It cannot be read: {error.strerror}.") from None
+        kind = InputError if isinstance(error, FileNotFoundError | NotADirectoryError) else UnreadableError
+        raise kind(named, found, "a readable file", f"It cannot be read: {error.strerror}.") from None
     except ValueError:
         raise InputError(named, found, "a path", "No path has a NUL in it.") from None
     if len(data) > largest:

@@ -1,6 +1,8 @@
 """A sweep goes on from what lies in its folder, whole or damaged, and computes nothing twice."""
 
+import errno
 import json
+import os
 import random
 import resource
 import shutil
@@ -12,7 +14,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, UnreadableError
 from jaxmpc.files.sealed import SEAL
 from sweeps import chunks as stored
 from sweeps import store
@@ -88,6 +90,29 @@ def test_only_the_damaged_chunk_is_computed_again(
     after = chunks(copy)
     assert {name for name in before if before[name][0] != after[name][0]} == {victim.name}
     assert after[victim.name][1] == before[victim.name][1]
+
+
+@pytest.mark.parametrize("reason", [errno.EACCES, errno.EIO, errno.ESTALE])
+def test_a_chunk_that_may_not_be_read_is_no_damaged_one(
+    reason: int, copy: Path, spec: SweepSpec, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was set aside as damaged and computed again; a share that is mounted again has it whole."""
+    before, victim = chunks(copy), copy / "chunks" / "000000032-000000064.npz"
+    opened = os.open
+
+    def refused(path: Any, *how: Any, **more: Any) -> int:
+        if str(path) == str(victim):
+            raise OSError(reason, os.strerror(reason), str(path))
+        return opened(path, *how, **more)
+
+    monkeypatch.setattr(os, "open", refused)
+    with pytest.raises(InputError, match=rf"{victim.name} = .*{os.strerror(reason)}\. It may be whole") as told:
+        run(spec, copy, chunk=32)
+    assert isinstance(told.value, UnreadableError)
+    assert len(Result.load(copy)) == ROWS - 32
+    assert f"{victim.name} is left out: It cannot be read: {os.strerror(reason)}" in caplog.text
+    monkeypatch.undo()
+    assert chunks(copy) == before
 
 
 def test_a_gap_is_filled_in_another_chunk_size(copy: Path, spec: SweepSpec, finished: Finished) -> None:

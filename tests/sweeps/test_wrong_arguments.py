@@ -1,5 +1,6 @@
 """Wrong words and flags of `jaxmpc sweep`: exit code 2, one sentence, nothing written."""
 
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -98,3 +99,18 @@ def test_a_flag_of_another_verb_is_refused_by_name(command: Command, capsys: pyt
     assert "--csv = rows.csv: must be left out of `sweep sensitivity`. It belongs to `jaxmpc sweep report | best" in (
         capsys.readouterr().err
     )
+
+
+def test_a_scheduler_that_does_not_answer_leaves_no_folder(
+    write_spec: Write, spec_text: str, command: Command, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """An empty sweep was left behind, which the same command without Dask then went on with."""
+    pytest.importorskip("distributed")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"  # nobody listens
+        assert command("sweep", write_spec(spec_text), "--cluster", address, "-o", tmp_path / "run") == 2
+    told = capsys.readouterr()
+    assert f"--cluster = {address}: must be a scheduler that answers" in told.err
+    assert not told.out
+    assert [entry.name for entry in tmp_path.iterdir()] == ["spec.toml"]

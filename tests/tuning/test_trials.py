@@ -279,7 +279,9 @@ def test_numbers_of_a_table_keep_seven_digits_and_what_is_none_is_empty() -> Non
 
 
 @pytest.mark.usefixtures("few")
-def test_blocks_are_kept_and_refused_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_are_kept_and_refused_to_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     computed = []
 
     def outcomes_of(_: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
@@ -301,6 +303,14 @@ def test_blocks_are_kept_and_refused_to_others(tmp_path: Path, monkeypatch: pyte
     for field, second, kept in zip(alone, again, third, strict=True):
         np.testing.assert_array_equal(second, field)
         np.testing.assert_array_equal(kept, field)
+    assert "0000000.npz is computed again" in caplog.text
+    damaged.unlink()
+    damaged.symlink_to(damaged)  # a link to itself: no right to read stops root
+    with pytest.raises(InputError, match=r"0000000\.npz = .*It cannot be read: "):
+        trials.run(job(), 3, tmp_path)
+    assert damaged.is_symlink()
+    damaged.unlink()
+    damaged.write_bytes(whole)
     with pytest.raises(InputError, match="very trials"):
         trials.run(job(seed=1), 3, tmp_path)
 

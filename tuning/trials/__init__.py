@@ -13,13 +13,16 @@ Three verdicts, of which a trial may deserve several:
 - *swinging*: true force above 12 Hz of more than 0.1 N RMS on any axis over the last 10 s (`jaxmpc.swing`).
 """
 
+import logging
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from jaxmpc.files.errors import InputError, counted
-from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
+from jaxmpc.files.foreign import read_bytes
+from jaxmpc.files.sealed import LARGEST, SealError, seal, unseal, write_atomic
 from jaxmpc.terminal.progress import progress
 from tuning.trials import drawn
 from tuning.trials.compute import outcomes_of
@@ -39,6 +42,8 @@ __all__ = [
     "on_own_tissues",
     "run",
 ]
+
+log = logging.getLogger(__name__)
 
 Told = Callable[[int, Outcomes], None]
 """Called with the first trial of a block and its outcomes, as soon as they are there."""
@@ -88,12 +93,17 @@ def _all_blocks(job: Job, count: int, folder: Path | None) -> Iterator[tuple[int
 
 
 def _kept(job: Job, folder: Path | None, first: int) -> Outcomes | None:
-    """A block from its file; None where there is none, or a damaged one, or one of before something was measured."""
-    if folder is None or not (path := _file(folder, first)).exists():
+    """A block from its file; None where there is none, or a damaged one, or one of before something was measured.
+
+    Raises:
+        InputError: It is of other trials, or the system does not let it be read, whole or not.
+    """
+    if folder is None or not os.path.lexists(path := _file(folder, first)):
         return None
     try:
-        said, arrays = unseal(path.read_bytes())
-    except SealError:
+        said, arrays = unseal(read_bytes(path, LARGEST))
+    except SealError as error:
+        log.warning("%s is computed again: %s", path.name, error)
         return None
     if said != _header(job, first):
         raise InputError("output folder", folder, "one of these very trials", "Choose another with -o.")
