@@ -72,8 +72,8 @@ class Metrics(NamedTuple):
     torque_step: Float[Array, "..."]
     """Largest change of it from one sample to the next while scored [N m]; the rest as for `clamped`."""
     swing: Float[Array, "..."]
-    """True force above 12 Hz, RMS over the last 10 s of the run [N], see `jaxmpc.swing`; NaN unless `scenario_data` was
-    asked for it, and of samples too far apart to hold it."""
+    """True force above 12 Hz, RMS over the last 10 s of the run, of a shorter one over what comes after settling [N],
+    see `jaxmpc.swing`; NaN unless `scenario_data` was asked for it, and of samples too far apart to hold it."""
 
     def __repr__(self) -> str:
         return described.as_text(*described.metrics(self))

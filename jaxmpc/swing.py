@@ -1,8 +1,9 @@
 r"""Swinging: what the force on the tissue does faster than any heart.
 
 A Butterworth high-pass of fourth order at 12 Hz, made for samples by the bilinear transform with the corner kept, and
-the RMS of what it lets pass over the last 10 s of a run. Each of its two sections is a state-variable filter
-(Zavalishin, The Art of VA Filter Design, 2012, §4): with g = tan(π f T_s) and dampings r = 2 sin(π/8), 2 sin(3π/8)
+the RMS of what it lets pass over the last 10 s of a run, of which settling is left out. Each of its two sections is a
+state-variable filter (Zavalishin, The Art of VA Filter Design, 2012, §4): with g = tan(π f T_s) and dampings r = 2
+sin(π/8), 2 sin(3π/8)
 
     h = (x − (r + g) s₁ − s₂) / (1 + r g + g²),   b = g h + s₁,   l = g b + s₂,   s₁' = b + g h,   s₂' = l + g b
 

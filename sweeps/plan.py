@@ -15,6 +15,7 @@ from jaxmpc.files.errors import InputError, counted
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
 from jaxmpc.files.sealed import LARGEST, canonical_json, digest, write_atomic
 from jaxmpc.quantities import AXES, METRICS, PARAMETERS
+from jaxmpc.swing import WINDOW
 from jaxmpc.synthesis.params import Params
 from sweeps.goal import SweepGoal
 from sweeps.space import SweepSpace
@@ -25,6 +26,9 @@ SCHEMA = "jaxmpc-sweep/2"
 VELOCITY = "difference of positions"
 """What damping is by, in loops and margins. Before this stood in a spec it was the velocity itself: rows of the two do
 not belong in one folder."""
+SWINGING = "after settling"
+"""Of what the swing of runs is that end within 10 s of settling. Before this stood in a spec it was of the beginning of
+contact, too."""
 _SHA = "sha256:"
 
 Columns = dict[str, np.ndarray]
@@ -190,6 +194,10 @@ def make_plan(spec: SweepSpec) -> Plan:
     swept = {axis.name for axis in spec.space.axes}
     if spec.experiment.physics != "linear" or spec.experiment.damping != "ideal" or swept & {"physics", "damping"}:
         canonical["velocity"] = VELOCITY
+    if spec.experiment.physics != "linear" or "physics" in swept:
+        short = spec.experiment.duration - spec.experiment.settle < WINDOW or swept & {"duration", "settle"}
+        if "swing" in spec.kept and short:
+            canonical["swing"] = SWINGING
     # Through JSON types, so that a plan read back from its manifest is the same one.
     return Plan(msgspec.json.decode(msgspec.json.encode(canonical)), files, spec.goal, spec.engine)
 

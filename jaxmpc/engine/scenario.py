@@ -79,9 +79,10 @@ def _axis_signals(experiment: Experiment, swinging: bool) -> AxisSignals:
 
 
 def _late(experiment: Experiment) -> np.ndarray:
-    """Whether each sample is of the end of the run, (steps,)."""
+    """Whether each sample is of the end of the run, (steps,): of its last 10 s what comes after settling."""
+    sample = np.arange(experiment.steps)
     last = round(swing.WINDOW / experiment.sampling_time)
-    return np.arange(experiment.steps) >= experiment.steps - last
+    return (sample >= experiment.steps - last) & (sample * experiment.sampling_time >= experiment.settle)
 
 
 def _arm_signals(experiment: Experiment, swinging: bool) -> ArmSignals:

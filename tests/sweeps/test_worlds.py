@@ -85,6 +85,32 @@ def test_rows_damped_by_another_velocity_are_not_put_beside_those_of_today(
     assert "velocity" not in make_plan(made({"K2": [1.0]}, experiment={"damping": "ideal"})).canonical
 
 
+@pytest.mark.parametrize(
+    ("experiment", "more", "short"),
+    [
+        ({"physics": "wam"}, {}, True),
+        ({"physics": "wam", "duration": 14.0, "settle": 5.0}, {}, True),
+        ({"physics": "wam", "duration": 15.0, "settle": 5.0}, {}, False),
+        ({"physics": "wam", "duration": 15.0, "settle": 5.0}, {"duration": [8.0, 9.0]}, True),
+        ({}, {"physics": ["linear", "wam"]}, True),
+        ({}, {}, False),
+    ],
+)
+def test_rows_whose_swing_was_of_the_beginning_too_are_not_put_beside_those_of_today(
+    experiment: dict[str, Any], more: dict[str, Any], short: bool, tmp_path: Path
+) -> None:
+    plan = make_plan(made({"K2": [1.0, 2.0], **more}, experiment=experiment))
+    assert ("swing" in plan.canonical) == short
+    assert "swing" not in make_plan(made({"K2": [1.0], **more}, experiment=experiment, columns=["rms"])).canonical
+    before = {key: value for key, value in plan.canonical.items() if key != "swing"}
+    store.prepare(tmp_path, dataclasses.replace(plan, canonical=before))
+    if short:
+        with pytest.raises(InputError, match="swing: there null"):
+            store.check(tmp_path, plan)
+    else:
+        assert store.check(tmp_path, plan)
+
+
 @pytest.mark.oracle
 @pytest.mark.parametrize(("precision", "noise"), [("float64", [0.0, 0.02]), ("float32", [0.01, 0.02])])
 def test_many_controllers_share_a_world(precision: str, noise: list[float]) -> None:
