@@ -122,6 +122,9 @@ def _read_chunk(path: Path, plan: Plan) -> tuple[int, int, Columns]:
     first, last = header.get("first"), header.get("last")
     if type(first) is not int or type(last) is not int or not 0 <= first < last <= len(plan.rows):
         raise SealError("it does not say which rows it holds")
+    if stretch_of(path.name) not in (None, (first, last)):
+        # In the place of those that it is named by, which are never written while it is there.
+        raise SealError(f"it holds rows {first} … {last - 1}, others than its name says")
     shapes = {name: (column.dtype, (last - first, *column.shape)) for name, column in plan.layout.items()}
     if {name: (values.dtype.str, values.shape) for name, values in arrays.items()} != shapes:
         raise SealError("its columns are not those of this sweep")

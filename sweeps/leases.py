@@ -146,9 +146,11 @@ class Leases:
 
     def _lease(self, stretch: Stretch) -> Lease | None:
         try:
-            return Lease(**table_if_any(self._path(stretch)))
+            lease = Lease(**table_if_any(self._path(stretch)))
         except TypeError:
             return None
+        typed = all(type(value) is Lease.__annotations__[name] for name, value in lease._asdict().items())
+        return lease if typed and 0 < lease.pid < 2**31 else None
 
     def _alive(self, stretch: Stretch) -> bool:
         """Whether the owner of a lease gives signs of life."""

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from jaxmpc.files.foreign import table_if_any
 from jaxmpc.files.sealed import write_atomic
+from jaxmpc.terminal.process import users_cache
 from sweeps.blocks import block_of, in_pairs, padded, programs, shares_signals
 from sweeps.engines import Devices, engine_of
 from sweeps.met import samples_met
@@ -46,17 +46,17 @@ class CostEstimate(NamedTuple):
         return self.start_s + self.rows / self.rate
 
 
-def kept_in() -> Path:
-    """The file of recorded rates, in the user's cache."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return cache / "jaxmpc" / "rates.json"
+def kept_in() -> Path | None:
+    """The file of recorded rates, in the user's cache; None where there is none."""
+    cache = users_cache()
+    return None if cache is None else cache / "rates.json"
 
 
 def record(plan: Plan, pace: Pace, devices: Devices, where: Path | None = None) -> None:
     """Note how long rows took, if all cost the same; a cache that cannot be written costs an estimate, nothing more."""
-    if not pace.rows or uneven(plan):
-        return
     path = where or kept_in()
+    if path is None or not pace.rows or uneven(plan):
+        return
     per_row = pace.seconds / pace.rows
     table = table_if_any(path)
     kind, samples = kind_of(plan, devices), f"{samples_of(plan):.0f}"
@@ -84,7 +84,8 @@ def estimate(plan: Plan, devices: Devices, where: Path | None = None) -> CostEst
     """
     import jax
 
-    known = _known(table_if_any(where or kept_in()), kind_of(plan, devices))
+    path = where or kept_in()
+    known = _known({} if path is None else table_if_any(path), kind_of(plan, devices))
     if not known or _swept(plan, COSTS):
         return None
     samples = samples_of(plan)
@@ -103,7 +104,14 @@ def _known(table: Mapping[str, Any], kind: str) -> dict[str, list[float]]:
     """By samples: time of a row, of starting with a program that is remembered, and what compiling adds [s]."""
     found = table.get(kind)
     items = found.items() if isinstance(found, dict) else ()
-    return {name: each for name, each in items if isinstance(each, list) and len(each) == 3}
+    return {name: each for name, each in items if name.isdecimal() and int(name) and _times(each)}
+
+
+def _times(found: Any) -> bool:
+    """Whether these are the three of them, that of a row above nought."""
+    if not (isinstance(found, list) and len(found) == 3 and all(type(time) in (int, float) for time in found)):
+        return False
+    return found[0] > 0.0 and all(0.0 <= time < math.inf for time in found)
 
 
 def kind_of(plan: Plan, devices: Devices) -> str:

@@ -102,6 +102,12 @@ def _devices_asked_for(config: Any) -> _Devices | None:
     return None
 
 
+def users_cache() -> Path | None:
+    """Where what only saves time is kept for the user's next process; None where he has no home, as in many containers."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    return cache / "jaxmpc" if cache.is_absolute() else None
+
+
 def remember_programs(folder: Path | None = None) -> None:
     """Keep programs for the next process, compiled and traced, whose first `evaluate` then takes seconds.
 
@@ -120,11 +126,10 @@ def remember_programs(folder: Path | None = None) -> None:
     if folder is not None:
         config.update("jax_compilation_cache_dir", str(folder))
     elif config.jax_compilation_cache_dir is None:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-        if not cache.is_absolute():  # as in many containers
+        if (cache := users_cache()) is None:
             config.update("jax_enable_compilation_cache", False)
             return
-        config.update("jax_compilation_cache_dir", str(cache / "jaxmpc" / "programs"))
+        config.update("jax_compilation_cache_dir", str(cache / "programs"))
     config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
     forget_damaged(Path(config.jax_compilation_cache_dir))
     store.keep_in(Path(config.jax_compilation_cache_dir) / "traced" if config.jax_enable_compilation_cache else None)

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -108,7 +109,7 @@ def _place(result: "Result", text: str) -> "slice":
 def _written(shown: "Result", args: argparse.Namespace) -> int:
     """Write what was asked for, of the rows that are shown."""
     if args.params and not len(shown):
-        place = f"`jaxmpc sweep best {args.what[1]}` tells what stands in the way."
+        place = f"`jaxmpc sweep best {shlex.quote(args.what[1])}` tells what stands in the way."
         raise InputError("--params", args.params, "written of a row that keeps the constraints", place)
     if args.csv:
         shown.to_csv(args.csv)

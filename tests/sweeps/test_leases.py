@@ -86,6 +86,16 @@ def test_a_dead_owner_of_this_machine_is_seen_at_once(leases: Make, tmp_path: Pa
     assert json.loads((tmp_path / "leases" / "000000000-000000010.json").read_text())["deaths"] == 1
 
 
+@pytest.mark.parametrize("changed", [{"pid": "7"}, {"pid": 10**30}, {"pid": 0}, {"pid": None}, {"deaths": "two"}])
+def test_a_lease_that_no_process_wrote_ends_by_its_age(leases: Make, tmp_path: Path, changed: dict[str, Any]) -> None:
+    mine = leases()
+    path = dead_owner(tmp_path, (0, 10))
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changed}))
+    assert not mine.take((0, 10))
+    os.utime(path, (0.0, 0.0))
+    assert mine.take((0, 10))
+
+
 @pytest.mark.parametrize(("warm", "deaths", "early", "lost"), [(True, MOST_DEATHS - 1, 0, True), (False, 2, 5, False)])
 def test_what_keeps_killing_is_set_aside(
     warm: bool, deaths: int, early: int, lost: bool, leases: Make, tmp_path: Path

@@ -1,6 +1,7 @@
 """What a machine remembers of its runs: how fast rows are, what starting costs, and what compiling adds."""
 
 import json
+import os
 import pickle
 import time
 from dataclasses import replace
@@ -105,6 +106,33 @@ def test_rates_of_another_version_are_none(plan: Plan, tmp_path: Path, entry: ob
     assert rates.estimate(plan, DEVICES, where=where) is None
     rates.record(plan, paced(plan, Compiling(COMPILE, COMPILE)), DEVICES, where)
     assert rates.estimate(plan, DEVICES, where=where) is not None
+
+
+@pytest.mark.parametrize(
+    ("samples", "entry"),
+    [
+        *(("600", entry) for entry in ([0.0, 1.0, 1.0], [None, 1.0, 1.0], ["1", 1.0, 1.0], [1.0, float("nan"), 1.0])),
+        ("0", [PER_ROW, START, COMPILE]),
+        ("many", [PER_ROW, START, COMPILE]),
+    ],
+)
+def test_rates_that_no_run_left_are_none(plan: Plan, tmp_path: Path, samples: str, entry: list[Any]) -> None:
+    where = tmp_path / "rates.json"
+    where.write_text(json.dumps({rates.kind_of(plan, DEVICES): {samples: entry}}))
+    assert rates.estimate(plan, DEVICES, where=where) is None
+    rates.record(plan, paced(plan, Compiling(COMPILE, COMPILE)), DEVICES, where)
+    assert rates.estimate(plan, DEVICES, where=where) is not None
+
+
+def test_who_has_no_home_keeps_no_rates(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Under a user whom the system does not know, as in many containers, every sweep ended in a traceback."""
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 54_321)  # of no entry among the users
+    monkeypatch.chdir(tmp_path)
+    rates.record(plan, paced(plan, Compiling(COMPILE, COMPILE)), DEVICES)
+    assert rates.estimate(plan, DEVICES) is None
+    assert not list(tmp_path.iterdir())
 
 
 def test_compiling_is_heard_of() -> None:

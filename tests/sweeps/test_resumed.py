@@ -115,6 +115,21 @@ def test_a_chunk_that_may_not_be_read_is_no_damaged_one(
     assert chunks(copy) == before
 
 
+def test_a_chunk_in_the_place_of_another_is_put_away(
+    copy: Path, spec: SweepSpec, finished: Finished, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As a copy under a wrong name leaves it: the rows that belong there were computed in every run and never kept."""
+    before, folder = chunks(copy), copy / "chunks"
+    shutil.copy(folder / "000000000-000000032.npz", folder / "000000032-000000064.npz")
+    assert len(Result.load(copy)) == ROWS - 32
+    assert run(spec, copy, chunk=32).hash == finished[1].hash
+    assert "it holds rows 0 … 31, others than its name says" in caplog.text
+    assert {name: data for name, (_, data) in chunks(copy).items()} == {
+        name: data for name, (_, data) in before.items()
+    }
+    assert Result.load(copy).complete
+
+
 def test_a_gap_is_filled_in_another_chunk_size(copy: Path, spec: SweepSpec, finished: Finished) -> None:
     (copy / "chunks" / "000000032-000000064.npz").unlink()
     (copy / "result.json").unlink()
