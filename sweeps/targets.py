@@ -88,7 +88,8 @@ def target(name: str) -> Target:
     if name in STRUCTURAL:
         return Target(name, "params", "-")
     head, _, last = name.rpartition(".")
-    whole = head if numbered(last) else name
+    # Of one name alone, since axes of two would set one entry twice.
+    whole = head if numbered(last) and last == f"{int(last)}" else name
     if whole not in known_names() or whole in (*PARAMETERS, *STRUCTURAL):
         raise InputError(f"sweep.axes.{name}", "swept", "a known parameter or key", nearest(name, known_names()))
     return Target(name, "experiment", UNITS.get(whole, "-"))

@@ -103,7 +103,7 @@ def _devices_asked_for(config: Any) -> _Devices | None:
 
 
 def users_cache() -> Path | None:
-    """Where what only saves time is kept for the user's next process; None where he has no home, as in many containers."""
+    """Where what saves time is kept for the next process; None where the user has no home, as in many containers."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     return cache / "jaxmpc" if cache.is_absolute() else None
 

@@ -189,6 +189,13 @@ def test_a_vector_and_its_entry_are_not_both_swept(
     assert "part of arm.coulomb" in capsys.readouterr().err
 
 
+def test_an_entry_has_one_name() -> None:
+    """Under two it was swept twice: the axis that stood last set it, and rows were there several times."""
+    axes = {"arm.coulomb.2": [0.1, 0.2], "arm.coulomb.02": [0.3, 0.4]}
+    with pytest.raises(InputError, match=r"sweep\.axes\.arm\.coulomb\.02 = swept: must be a known parameter"):
+        SweepSpec.from_dict({"experiment": {"published": "table-1-wam"}, "sweep": {"kind": "grid", "axes": axes}})
+
+
 def test_the_real_command_refuses_without_a_traceback(write_spec: Write, spec_text: str, tmp_path: Path) -> None:
     path = write_spec(spec_text.replace("[3, 10]", "[3, nan]"))
     done = subprocess.run(
