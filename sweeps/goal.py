@@ -1,6 +1,5 @@
 """What makes a row a good one: a quantity to be minimised, and limits that it must keep."""
 
-import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -9,7 +8,7 @@ import msgspec
 
 from jaxmpc.files.errors import InputError, counted, nearest
 from jaxmpc.files.toml import without_arrays
-from jaxmpc.quantities import HIGHEST_M_S, MARGINS, METRICS, Quantity
+from jaxmpc.quantities import HIGHEST_M_S, MARGINS, METRICS, Quantity, check_limit
 
 MEASURED: Mapping[str, Quantity] = MappingProxyType({**METRICS, **MARGINS})
 """What can be ranked, limited and kept."""
@@ -44,9 +43,7 @@ class SweepGoal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         # As plain data, whatever numbers they came in: they are written into manifests.
         limits = without_arrays(self.constraints)
         for name, limit in limits.items():
-            number = isinstance(limit, int | float) and not isinstance(limit, bool)
-            if not (number and math.isfinite(limit)):
-                raise InputError(f"sweep.constraints.{name}", limit, "a finite number", "Remove it for no limit.")
+            check_limit(f"sweep.constraints.{name}", MEASURED[name], limit, "Remove it for no limit.", zero=True)
         msgspec.structs.force_setattr(self, "constraints", limits)
         most = counted("sweep.decide", self.decide, "0 runs none once more.", 0, MOST_DECIDED)
         msgspec.structs.force_setattr(self, "decide", most)

@@ -1,5 +1,6 @@
 """The table of quantities: nothing that is computed lacks a row, and no row lacks a reader."""
 
+import math
 from argparse import ArgumentParser
 from dataclasses import fields
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from deploy.controller.margin_floor import check, plain_floor
 from jaxmpc import Experiment, Params
+from jaxmpc.cli import main
 from jaxmpc.cli.freeze import configure
 from jaxmpc.closed_loops import Outcome
 from jaxmpc.files.errors import InputError
@@ -44,6 +46,44 @@ def test_a_row_says_what_its_readers_need(row: Quantity) -> None:
     assert (row.sense == "none") == (row.name in PARAMETERS)
 
 
+@pytest.mark.parametrize(
+    ("name", "limit", "bound"),
+    [
+        ("M_s", -1.0, "1"),
+        ("M_s", 1.0, "1"),
+        ("gain_margin_db", -3.0, "0 dB"),
+        ("phase_margin_deg", 200.0, "0°( on)?, at most 180°"),
+        ("spectral_radius", 1.5, "0( on)?, at most 1"),
+        ("rms", -0.1, "0 N"),
+        ("clamped", 1.5, "0( on)?, at most 1"),
+        ("effort", math.inf, "0 m/s²"),
+    ],
+)
+def test_a_limit_that_nothing_can_keep_or_nothing_can_miss_is_refused(
+    name: str, limit: float, bound: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    experiment = {"published": "table-1-wam"}
+    for make, table in (
+        (TuneSpec, {"goals": {name: limit}}),
+        (TuneSpec, {"pareto": {name: [limit]}}),
+        (SweepSpec, {"sweep": {"kind": "grid", "axes": {"lam": [0.1]}, "constraints": {name: limit}}}),
+    ):
+        with pytest.raises(InputError, match=rf"{name} = {limit}: must be a number (above|from) {bound}"):
+            make.from_dict({"experiment": experiment, **table})
+    if name in FLOOR_FLAGS:
+        assert main(["freeze", "text", FLOOR_FLAGS[name], f"{limit}", "-o", f"{tmp_path / 'a.npz'}"]) == 2
+        assert f"{FLOOR_FLAGS[name]} = {limit}: must be" in capsys.readouterr().err
+
+
+def test_what_a_limit_may_be() -> None:
+    """None of the samples may be clamped; of a ratio to another's a tune may ask for more than 1."""
+    axes = {"kind": "grid", "axes": {"lam": [0.1]}}
+    SweepSpec.from_dict(
+        {"experiment": {"published": "table-1-wam"}, "sweep": {**axes, "constraints": {"clamped": 0.0}}}
+    )
+    TuneSpec.from_dict({"experiment": {"published": "table-1-wam"}, "goals": {"clamped_ratio": 1.5, "clamped": 1.0}})
+
+
 def test_parameters_can_be_searched_and_swept() -> None:
     base = Params()
     for name, row in PARAMETERS.items():
@@ -61,7 +101,8 @@ def test_parameters_can_be_searched_and_swept() -> None:
 
 
 def test_metrics_and_margins_can_be_goals() -> None:
-    goals = {**dict.fromkeys(MARGINS, 1.5), **dict.fromkeys(METRICS, 1.0), "soft": dict.fromkeys(METRICS, 1.0)}
+    hard = {**dict.fromkeys(MARGINS, 1.5), **dict.fromkeys(METRICS, 1.0), "spectral_radius": 0.99}
+    goals = {**hard, "soft": dict.fromkeys(METRICS, 1.0)}
     spec = TuneSpec.from_dict({"experiment": {"published": "table-1-wam"}, "goals": goals})
     assert {*spec.margin_goals, *spec.hard_goals} == {*MARGINS, *METRICS}
     assert set(METRICS) < set(MEASURED) < set(GOALS)

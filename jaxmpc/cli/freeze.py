@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxmpc.files.errors import InputError
-from jaxmpc.quantities import FLOOR_FLAGS, HIGHEST_M_S, MARGINS
+from jaxmpc.quantities import FLOOR_FLAGS, HIGHEST_M_S, MARGINS, check_limit
 from jaxmpc.terminal.progress import said_after
 
 if TYPE_CHECKING:
@@ -52,8 +52,11 @@ def run(args: argparse.Namespace) -> int:
     check_file("-o", args.output)
     given = {name: getattr(args, name) for name in FLOOR_FLAGS}
     for name, value in given.items():
-        if value is not None and not 0.0 < value < math.inf:
-            raise InputError(FLOOR_FLAGS[name], value, "positive and finite", "Leave it out to promise nothing of it.")
+        if value is not None:
+            remedy = "Leave it out to promise nothing of it."
+            if not 0.0 < value < math.inf:
+                raise InputError(FLOOR_FLAGS[name], value, "positive and finite", remedy)
+            check_limit(FLOOR_FLAGS[name], MARGINS[name], value / MARGINS[name].times, remedy)
     floor = {name: value / MARGINS[name].times for name, value in given.items() if value is not None}
     params, experiment = _chosen(args)
     what = args.params if args.row is None else f"row {args.row} of {args.params}"

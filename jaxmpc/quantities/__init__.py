@@ -4,6 +4,7 @@ A row says all that goals, sweeps, tables, reports, freezing and the robot's own
 that a new one is written here and where it is computed, nowhere else. No row needs JAX.
 """
 
+from jaxmpc.quantities.limits import check_limit
 from jaxmpc.quantities.measured import FLOOR_FLAGS, HIGHEST_M_S, MARGINS, METRICS
 from jaxmpc.quantities.parameters import FILTERS, HORIZONS, HP_MAX, HU_MAX, PARAMETERS, ParameterValues
 from jaxmpc.quantities.row import Metric, Parameter, Quantity, SearchRange, Sense
@@ -25,6 +26,7 @@ __all__ = [
     "Quantity",
     "SearchRange",
     "Sense",
+    "check_limit",
 ]
 
 AXES = ("x", "y", "z")

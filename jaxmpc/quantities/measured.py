@@ -1,5 +1,6 @@
 """What a run measures, and how far a loop is from instability."""
 
+import math
 from collections.abc import Mapping
 
 from jaxmpc.quantities.row import Metric, Quantity, table
@@ -43,6 +44,7 @@ METRICS = table(
     Metric(
         *("clamped", "-", "share of samples at which a torque limit acted", "clamped", "ceiling", "clamped", "%"),
         times=100.0,
+        limits=(0.0, 1.0),
         follows="chatter",
         arm_only=True,
         float32_error=1.0,
@@ -68,12 +70,17 @@ METRICS = table(
 """Fields of `jaxmpc.metrics.Metrics`."""
 
 MARGINS = table(
-    Quantity("M_s", "-", "peak sensitivity", "$M_s$"),
+    Quantity("M_s", "-", "peak sensitivity", "$M_s$", limits=(1.0, math.inf)),
     Quantity("gain_margin_db", "dB", "gain increase to instability", "GM", "floor", "GM"),
     Quantity("gain_reduction_db", "dB", "gain decrease to instability", "GR", "floor", "GR"),
-    Quantity("phase_margin_deg", "deg", "smallest lag to instability", "PM", "floor", "PM", "°"),
+    Quantity("phase_margin_deg", "deg", "smallest lag to instability", "PM", "floor", "PM", "°", limits=(0.0, 180.0)),
     Quantity("delay_margin_s", "s", "smallest added delay to instability", "DM", "floor", "DM", "ms", 1e3),
-    Quantity("spectral_radius", "-", "largest eigenvalue of the closed loop", r"$\rho$", head="radius", digits=4),
+    Quantity(
+        *("spectral_radius", "-", "largest eigenvalue of the closed loop", r"$\rho$"),
+        head="radius",
+        digits=4,
+        limits=(0.0, 1.0),
+    ),
 )
 """Fields of `jaxmpc.stability.Margins`, but for the status."""
 FLOOR_FLAGS: Mapping[str, str] = {

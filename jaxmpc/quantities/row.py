@@ -34,6 +34,9 @@ class Quantity:
     """A value times this is in the unit of a table."""
     digits: int = 2
     """Decimals in a table."""
+    limits: tuple[float, float] = field(default=(0.0, math.inf), kw_only=True)
+    """Above which, and up to which, a limit of it means something: below nothing keeps a ceiling, beyond nothing misses
+    it; of a floor the other way about."""
 
     @property
     def label(self) -> str:

@@ -1,7 +1,6 @@
 """`jaxmpc sweep best | pareto | row | sensitivity | report`: what came out of a sweep's folder."""
 
 import argparse
-import math
 import shlex
 import sys
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.outputs import check_file, check_folder
+from jaxmpc.quantities import MARGINS, check_limit
 
 if TYPE_CHECKING:
     from sweeps.result import Result
@@ -48,10 +48,8 @@ def show(verb: str, args: argparse.Namespace) -> int:
     check_file("--csv", args.csv)
     check_file("--params", args.params)
     limit, n = args.max_ms, 10 if args.n is None else args.n
-    if limit is not None and not 1.0 <= limit < math.inf:
-        raise InputError(
-            "--max-ms", limit, "at least 1, and finite", "No loop has a smaller peak sensitivity; 2 is usual."
-        )
+    if limit is not None:
+        check_limit("--max-ms", MARGINS["M_s"], limit, "No loop has a smaller peak sensitivity; 2 is usual.")
     if n < 1:
         raise InputError("-n", n, "at least 1", "Ask for one row or more.")
     from sweeps.goal import ON_ARM

@@ -59,7 +59,7 @@ def test_a_limit_that_none_is_is_told_of_its_flag(
     limit: str, finished: Finished, command: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command("sweep", "best", finished[0], "--max-ms", limit) == 2
-    assert f"--max-ms = {limit}: must be at least 1, and finite" in capsys.readouterr().err
+    assert f"--max-ms = {limit}: must be a number above 1" in capsys.readouterr().err
 
 
 def test_where_no_row_is_good_params_are_not_written(

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxmpc.experiment import AXES
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.metrics import Metrics
-from jaxmpc.quantities import MARGINS, METRICS, Metric, Quantity
+from jaxmpc.quantities import MARGINS, METRICS, Metric, Quantity, check_limit
 from jaxmpc.stability import Margins
 from jaxmpc.xla.plain import library
 
@@ -39,7 +39,9 @@ RUN_GOALS: Mapping[str, RunGoal] = {
 }
 MEASURED: Mapping[str, Quantity] = {
     **{
-        name: replace(goal.metric, name=name, unit="-" if goal.part == RATIO else goal.metric.unit)
+        name: replace(goal.metric, name=name, unit="-", limits=(0.0, math.inf))
+        if goal.part == RATIO
+        else replace(goal.metric, name=name)
         for name, goal in RUN_GOALS.items()
     },
     OVERSHOOT: Quantity(OVERSHOOT, "-", "force beyond a step of its reference, of the linear loop", OVERSHOOT),
@@ -123,7 +125,7 @@ def run_goals(
 
 
 def check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, Quantity]) -> None:
-    """Refuse goals that are unknown, or have no limit that can be met.
+    """Refuse goals that are unknown, or have a limit that nothing can keep or nothing can miss.
 
     Args:
         goals: Limits by name, each in its quantity's unit.
@@ -139,11 +141,7 @@ def check_goals(goals: Mapping[str, Any], table: str, known: Mapping[str, Quanti
         if name not in known:
             remedy = nearest(name, [*known, "ideal", "soft"] if table == "goals" else list(known))
             raise InputError(f"{table}.{name}", limit, "a known goal", remedy)
-        low = 1.0 if name == "M_s" else 0.0
-        number = isinstance(limit, int | float) and not isinstance(limit, bool)
-        if not (number and low < limit < math.inf):
-            bound = f"a number above {known[name].amount(low)}"
-            raise InputError(f"{table}.{name}", limit, bound, "Give a limit.")
+        check_limit(f"{table}.{name}", known[name], limit, "Give a limit, or leave it out.")
 
 
 def refuse_goals_of_joints(goals: Mapping[str, Any], table: str) -> None:
