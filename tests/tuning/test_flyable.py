@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tuning.proof.result
+from jaxmpc.files.errors import InputError
 from jaxmpc.synthesis.params import Params
 from tuning import TuneSpec
 from tuning.proof.flyable import floor_of, refusal
@@ -19,7 +20,14 @@ UNLIMITED = {"joint_torque_limit": [0.0] * 4, "torque_step_limit": [0.0] * 4}
 
 
 def on_arm(small: Job, arm: dict[str, Any], **goals: Any) -> TuneSpec:
+    goals = {"ideal": False, **goals}
     return TuneSpec.from_dict(small(experiment={"published": "table-1-wam", "arm": arm}, goals=goals))
+
+
+def test_ideal_damping_is_refused_where_freezing_would_refuse_it(small: Job) -> None:
+    with pytest.raises(InputError, match=r"goals\.ideal = True: must be false on an arm with a robot's limits"):
+        on_arm(small, {}, ideal=True)
+    assert on_arm(small, UNLIMITED, ideal=True).ideal
 
 
 def test_limits_of_the_arm_imply_goals_where_none_are_given(small: Job) -> None:
@@ -36,11 +44,11 @@ def test_limits_of_the_arm_imply_goals_where_none_are_given(small: Job) -> None:
 
 
 def test_the_search_holds_the_peak_that_freezing_promises_whatever_the_goals_are(small: Job) -> None:
-    spec = on_arm(small, {}, gain_margin_db=2.0, ideal=False)
+    spec = on_arm(small, {}, gain_margin_db=2.0)
     assert spec.margin_goals == {"M_s": 2.0, "gain_margin_db": 2.0} == floor_of(spec)
-    assert on_arm(small, {}, gain_margin_db=2.0, M_s=3.0, ideal=False).margin_goals["M_s"] == 3.0
-    for study in (on_arm(small, UNLIMITED, gain_margin_db=2.0, ideal=False), on_arm(small, {}, gain_margin_db=2.0)):
-        assert set(study.margin_goals) == {"gain_margin_db"}, "nobody promises it of a study, nor of the ideal loop"
+    assert on_arm(small, {}, gain_margin_db=2.0, M_s=3.0).margin_goals["M_s"] == 3.0
+    study = on_arm(small, UNLIMITED, gain_margin_db=2.0)
+    assert set(study.margin_goals) == {"gain_margin_db"}, "nobody promises it of a study"
 
 
 def test_an_implied_goal_is_part_of_the_job(small: Job) -> None:
@@ -50,9 +58,9 @@ def test_an_implied_goal_is_part_of_the_job(small: Job) -> None:
 
 
 def test_freezing_is_asked_with_the_margins_of_the_job(small: Job) -> None:
-    spec = on_arm(small, {}, phase_margin_deg=30.0, ideal=False)
+    spec = on_arm(small, {}, phase_margin_deg=30.0)
     assert floor_of(spec) == {"M_s": 2.0, "phase_margin_deg": 30.0}
-    assert floor_of(on_arm(small, {}, M_s=3.0, ideal=True)) == {"M_s": 2.0}, "a frozen arm is judged as it runs"
+    assert floor_of(on_arm(small, UNLIMITED, M_s=3.0, ideal=True)) == {"M_s": 2.0}, "a frozen arm is judged as it runs"
     assert "M_s at 375 N/m = 4.389" in refusal(spec, Params.published("text"))
     assert refusal(on_arm(small, UNLIMITED), Params.published("text")) == "", "a study is not for a robot"
 

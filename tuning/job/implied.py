@@ -15,18 +15,16 @@ CHATTER_PER_STEP = 0.12
 JOINT_2 = 1
 
 
-def implied_goals(experiment: Experiment, ideal: bool) -> dict[str, float]:
+def implied_goals(experiment: Experiment) -> dict[str, float]:
     """M_s as any frozen controller promises it, and limits of metrics that those of the arm imply.
 
     Args:
         experiment: What is tuned on; the linear world or a study implies nothing.
-        ideal: Whether margins are those of the ideal loop, of which freezing for an arm promises nothing.
     """
     if not experiment.limited:
         return {}
     torque, step = experiment.arm.joint_torque_limit, experiment.arm.torque_step_limit
-    found = {} if ideal else {"M_s": HIGHEST_M_S}
-    found["clamped"] = CLAMPED
+    found = {"M_s": HIGHEST_M_S, "clamped": CLAMPED}
     # What is measured is the largest of all joints, whichever it is.
     if all(torque):
         found["joint_torque"] = max(torque)

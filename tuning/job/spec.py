@@ -98,7 +98,13 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             raise InputError(f"tune.{error.key}", error.value, error.bound, error.remedy) from None
 
     def _check_arm(self) -> None:
-        """Refuse what only an arm can have."""
+        """Refuse what only an arm can have, and what no robot's arm has."""
+        if self.ideal and self.experiment.limited:
+            remedy = (
+                "Leave it out: freezing judges a robot's loop as it runs. "
+                "A study has experiment.arm.joint_torque_limit and torque_step_limit of 0."
+            )
+            raise InputError("goals.ideal", True, "false on an arm with a robot's limits", remedy)
         if self.on_arm:
             return
         for key, goals in self._goals():
@@ -209,7 +215,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     @property
     def implied(self) -> dict[str, float]:
         """Hard goals that freezing for a robot implies where none is given."""
-        found = implied_goals(self.experiment, self.ideal)
+        found = implied_goals(self.experiment)
         return {name: limit for name, limit in found.items() if name not in self.goals}
 
     @property
