@@ -51,6 +51,13 @@ class Comparison:
     seeds: Sequence[int] = ()
     statuses: np.ndarray | None = None
 
+    def held(self, metric: str) -> np.ndarray | None:
+        """A metric on the drawn motions, NaN where a status is not OK, as in trials; None where there are none."""
+        if self.drawn is None:
+            return None
+        values = np.asarray(getattr(self.drawn, metric))
+        return values if self.statuses is None else np.where(self.statuses[..., None] == Status.OK, values, np.nan)
+
     def failures(self) -> Iterator[str]:
         """A line for every contender and tissue on which its runs were not all OK."""
         for c, (one, outcome) in enumerate(zip(self.contenders, self.outcomes, strict=True)):

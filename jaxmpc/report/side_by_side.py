@@ -28,7 +28,7 @@ class Entry(NamedTuple):
     values: np.ndarray
     """One of every contender, on the experiment itself, (contenders,)."""
     drawn: np.ndarray | None
-    """On the drawn motions, (contenders, seeds); None where no motion matters."""
+    """On the drawn motions, (contenders, seeds), NaN where one was lost; None where no motion matters."""
 
 
 class PairedDifference(NamedTuple):
@@ -38,7 +38,7 @@ class PairedDifference(NamedTuple):
     half_width: float
     """Half of the interval in which the mean lies with `CONFIDENCE`; NaN of a single pair."""
     pairs: int
-    """Motions that both held."""
+    """Motions on which neither was lost."""
     motions: int
 
     @property
@@ -82,7 +82,7 @@ def entries(found: Comparison) -> Iterator[Entry]:
     tissues = [f"{K_s:g} N/m" for K_s in found.experiment.stiffness]
     for name, metric in METRICS.items():
         values = np.stack([np.asarray(getattr(one.metrics, name)) for one in found.outcomes])
-        drawn = None if found.drawn is None else np.asarray(getattr(found.drawn, name))
+        drawn = found.held(name)
         if not np.isfinite(values).any() or not (np.nan_to_num(values) != 0.0).any():
             continue
         for i, tissue in enumerate(tissues):

@@ -153,6 +153,25 @@ def made_up(rms: float, random: np.random.Generator) -> tuple[Outcome, Metrics]:
     return Outcome(own, margins, np.zeros(2, int), np.full(2, np.nan), None), drawn
 
 
+def test_motions_on_which_one_was_lost_are_no_pairs() -> None:
+    """Contact was lost, or the force left its limit: the run has metrics all the same."""
+    random = np.random.default_rng(1)
+    (first, motions), (second, others) = made_up(0.1, random), made_up(0.2, random)
+    experiment = msgspec.structs.replace(Experiment.published("table-1"), stiffness=(375.0, 810.0))
+    contenders = [Contender(name, Params(), "made up") for name in "AB"]
+    drawn = Metrics(*(np.stack(pair) for pair in zip(motions, others, strict=True)))
+    statuses = np.zeros((2, 5, 2), int)
+    statuses[0, 1, 1], statuses[1, 3, 1] = Status.LOST_CONTACT, Status.FORCE_LIMIT
+    found = Comparison(experiment, contenders, [first, second], drawn, [None, None], seeds=range(5), statuses=statuses)
+    told = {tuple(row[:2]): row[-1] for row in table(found).rows}
+    held = [0, 2, 4]
+    mean = 1e3 * (others.rms - motions.rms)[held, 1, 2].mean()
+    assert told["RMS [mN]", "810 N/m, Z"].startswith(f"{mean:+.1f} ± ")
+    assert told["RMS [mN]", "810 N/m, Z"].endswith(" (3 of 5)")
+    assert told["RMS [mN]", "375 N/m, Z"].endswith(" *")
+    assert told["chatter [m/s²]", "810 N/m"].endswith(" (3 of 5)")
+
+
 def test_the_table_has_everything_and_the_differences() -> None:
     random = np.random.default_rng(1)
     (first, motions), (second, others) = made_up(0.1, random), made_up(0.2, random)
