@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from jaxmpc import Params
+from jaxmpc import Experiment, Params
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import METRICS
 from jaxmpc.world.heart.motion import Motion
@@ -36,6 +36,14 @@ def test_the_text_says_it_all(result: TuneResult) -> None:
     assert "M_s is active at 1900 N/m, 99.0 % of its limit" in said
     worst = 1e3 * result.heldout.rms[:, [0, 2, 3], 0, 0].max(axis=1)
     assert re.search(rf"375 +{worst[0]:.1f} → {worst[1]:.1f}", said)
+
+
+def test_what_only_joints_have_is_left_out_of_a_report_of_the_linear_loop(result: TuneResult) -> None:
+    names = [metric.heading for metric in METRICS.values() if metric.arm_only]
+    on_arm = Experiment.published("table-1-wam")
+    for heading in names:
+        assert heading not in report(result)
+        assert heading in report(replace(result, spec=msgspec.structs.replace(result.spec, experiment=on_arm)))
 
 
 def test_a_motion_that_no_seed_draws_is_not_called_held_out(result: TuneResult) -> None:
@@ -74,7 +82,7 @@ def test_the_page_says_it_all(result: TuneResult, study: Study) -> None:
     assert "&lt;b&gt;&quot;a &amp; b&quot;&lt;/b&gt;" in page
     assert len(page) < 2e6
     # The tables name every scenario, the lost one too.
-    assert page.count("1001, 375 N/m") == len(METRICS)
+    assert page.count("1001, 375 N/m") == sum(not metric.arm_only for metric in METRICS.values())
     # Six of held-out residuals, five of every tissue, an axis each of the causes, two metrics, the way there.
     assert page.count('class="chart"') == 6 + 5 * 3 + 3 + 2 + (2 + 2 + 3)
 

@@ -46,6 +46,8 @@ def _heldout(result: TuneResult) -> Section:
     seeds, stiffness, counted = result.spec.tune.heldout_seeds, result.spec.experiment.stiffness, kept(result)
     tables = []
     for metric in METRICS.values():
+        if metric.arm_only and not result.spec.on_arm:
+            continue
         cells, fell = getattr(result.heldout, metric.name), _lowered(result, metric)
         worst = cells[:, counted].max(axis=1)
         lines, each = [], []
