@@ -16,7 +16,7 @@ from jaxmpc.files.errors import InputError, check_type
 from jaxmpc.law.gains import Gains
 from jaxmpc.stability.controller import TransferFunction, controller_of
 from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
-from jaxmpc.stability.held_beat import HeldBeat
+from jaxmpc.stability.held_beat import HeldBeat, poles
 from jaxmpc.stability.loop import closed_loop_matrix, contacts_between, spectral_radius
 from jaxmpc.stability.response import loop_around
 from jaxmpc.status import Status
@@ -144,7 +144,9 @@ def _margins_cut(cell: Cells, cuts_at_a: Any) -> Margins:
             return lambda theta, late=None: loop_around(one, c, theta, cut, late, h)
 
         parts = controller, contact, held
-        return loop_margins(loop(*parts), loop(*jax.lax.stop_gradient(parts)), contact.T_s)
+        frozen = jax.lax.stop_gradient(parts)
+        torn = None if held is None else poles(jax.lax.stop_gradient(held))
+        return loop_margins(loop(*parts), loop(*frozen), contact.T_s, torn)
 
     cuts = jax.vmap(margins_at)(cuts_at_a)
     worst = LoopMargins(greatest(cuts.M_s), *map(least, cuts[1:]))

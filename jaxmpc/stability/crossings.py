@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from jaxmpc.stability.search import peak, root
@@ -30,9 +29,9 @@ than the angles are apart, and rise and fall between two of them."""
 LOWEST, CLOSELY = 1e-6, 2.0 * pi * 5e-5
 """Lowest angle searched, and from which on closely [rad]: 0.16 mHz and 0.05 Hz at 1 kHz. Between them the slowest
 observers alone turn a loop, without resonance: with the least `Q_p` at 0.1 ms it crosses the real axis at 7e-5 rad."""
-_ROW = np.append(np.repeat(np.arange(BENDS), PARTS + 1), np.full(POINTS, BENDS))
-_INSIDE = _ROW[2:] == _ROW[:-2]
-"""Rows of a `Curve`, and which of its points between the first and the last have a neighbour on either side."""
+BESIDE = (-8.0, -1.0, -0.125, 0.125, 1.0, 8.0)
+"""Where a loop is looked at beside a pole on the unit circle, over the distance at which its part of L has a size of
+about 1 [-]: from there to the pole the curve is nearly straight, and crosses the real axis on one side of the two."""
 CHORD_STEPS = 12
 """Each gains three digits and more; the start has four."""
 
@@ -59,15 +58,25 @@ class Places(NamedTuple):
     has_lag: Bool[Array, ""]
 
 
-def loop_margins(live: Loop, frozen: Loop, T_s: Any) -> LoopMargins:
+class Poles(NamedTuple):
+    """Poles of L on the unit circle, each (poles,)."""
+
+    angle: Any
+    """[rad]"""
+    size: Any
+    """At which distance its part of L has a size of about 1 [rad]; 0 where there is none after all."""
+
+
+def loop_margins(live: Loop, frozen: Loop, T_s: Any, poles: Poles | None = None) -> LoopMargins:
     """All margins of a stable loop.
 
     Args:
         live: The loop.
         frozen: The same loop with its parameters behind `stop_gradient`.
         T_s: Sampling time [s].
+        poles: Its poles on the unit circle, likewise; None where it has none.
     """
-    places = _places(frozen)
+    places = _places(frozen, poles)
     at = jnp.concatenate([places.peak[None], jnp.full(1, pi), places.gain, places.lag])
     response = live(at)
     slope = jax.jvp(frozen, (at,), (jnp.ones_like(at),))[1]
@@ -81,12 +90,12 @@ def loop_margins(live: Loop, frozen: Loop, T_s: Any) -> LoopMargins:
 
 
 class Curve(NamedTuple):
-    """The loop at rows of rising angles; the last and longest row ends at the Nyquist frequency."""
+    """The loop at rising angles up to the Nyquist frequency."""
 
     theta: Float[Array, " points"]
     response: Complex[Array, " points"]
     piece: Bool[Array, " points-1"]
-    """Whether a point and the next enclose a piece of the curve that no other row shows more closely."""
+    """Whether a point and the next enclose a piece of the curve: it is torn at a pole."""
 
 
 def search_angles() -> Float[Array, " angles"]:
@@ -95,8 +104,8 @@ def search_angles() -> Float[Array, " angles"]:
     return jnp.append(slow, CLOSELY * (pi / CLOSELY) ** jnp.linspace(0.0, 1.0, POINTS - SLOW))
 
 
-def _curve(loop: Loop) -> Curve:
-    """The loop over all angles, and more closely where it bends most near the unit circle."""
+def _curve(loop: Loop, poles: Poles | None) -> Curve:
+    """The loop over all angles, and more closely where it bends most near the unit circle, and beside its poles."""
     theta = search_angles()
     response = loop(theta)
     ratio, size = response[1:] / response[:-1], jnp.abs(response[1:-1])
@@ -109,16 +118,29 @@ def _curve(loop: Loop) -> Curve:
         bend = jnp.where(jnp.abs(jnp.arange(1, POINTS - 1) - sharpest[-1]) < 2, -1.0, bend)
     middle = jnp.stack(sharpest)
     low, high = theta[middle - 1, None], theta[middle + 1, None]
-    closely = jnp.ravel(low + (high - low) * jnp.linspace(0.0, 1.0, PARTS + 1))
-    seen_closely = jnp.any(jnp.abs(jnp.arange(POINTS - 1)[:, None] + 0.5 - middle) < 1.0, axis=1)
-    piece = jnp.asarray(_ROW[1:] == _ROW[:-1]) & ~jnp.append(jnp.zeros(len(closely), bool), seen_closely)
-    return Curve(jnp.append(closely, theta), jnp.append(loop(closely), response), piece)
+    closely = jnp.ravel(low + (high - low) * jnp.arange(1, PARTS) / PARTS)
+    if poles is not None:
+        closely = jnp.append(closely, _beside(poles))
+    theta, response = jnp.append(theta, closely), jnp.append(response, loop(closely))
+    order = jnp.argsort(theta)
+    theta, response = theta[order], response[order]
+    whole = jnp.ones(len(theta) - 1, bool)
+    if poles is not None:
+        torn = (theta[:-1, None] < poles.angle) & (poles.angle < theta[1:, None]) & (poles.size > 0.0)
+        whole = ~jnp.any(torn, axis=1)
+    return Curve(theta, response, whole)
 
 
-def _places(loop: Loop) -> Places:
-    theta, response, piece = _curve(loop)
-    distance = jnp.where(_INSIDE, jnp.abs(1.0 + response[1:-1]), jnp.inf)
-    top = 1 + jnp.argmin(distance)
+def _beside(poles: Poles) -> Float[Array, " angles"]:
+    """Angles beside each pole; where there is none they are no harm."""
+    size = jnp.maximum(poles.size, 1e-9 * poles.angle)
+    angles = jnp.ravel(poles.angle[:, None] + size[:, None] * jnp.array(BESIDE))
+    return jnp.clip(angles, LOWEST, (1.0 - 1e-6) * pi)
+
+
+def _places(loop: Loop, poles: Poles | None) -> Places:
+    theta, response, piece = _curve(loop, poles)
+    top = 1 + jnp.argmin(jnp.abs(1.0 + response[1:-1]))
     highest = peak(lambda at: -jnp.abs(1.0 + loop(at)), theta[top - 1], theta[top + 1])
 
     imaginary, real = response.imag, response.real
