@@ -18,8 +18,8 @@ from jaxmpc.law import schedule
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.repetition import Repetition
 from jaxmpc.law.schedule import repetition_of
-from jaxmpc.stability import Cells, Margins, cells_of, margins_of_cells, worst_of
-from jaxmpc.stability.held_beat import HeldBeat, at_rates, spread_rates
+from jaxmpc.stability import Cells, Margins, cells_of, margins_of_cells, worst_of, worst_rates
+from jaxmpc.stability.held_beat import HeldBeat, at_rates
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.synthesis import design, design_one, designed
 from jaxmpc.synthesis.listening import Listening
@@ -34,11 +34,6 @@ from jaxmpc.xla.rows import repeated, reshaped
 
 KNOWN, RATIOS = 25, 5
 """Known stiffnesses, log-spaced between the outer knots, and K_s/K̂ over the band, at which a schedule is judged."""
-RATES = 12
-"""Rates of the heart, log-spaced over what it may have, at which one that learns the beat is: more of them find the
-published family's gain reduction 0.005 dB less, half as many 0.06 dB more."""
-AT_RATES = partial(spread_rates, count=RATES)
-"""These rates, from the constants of what is learned."""
 
 
 def judged_where(
@@ -135,18 +130,19 @@ def family_margins(
     stiffness: Float[Array, " known"] | Any,
     ratios: Float[Array, " ratios"] | Any,
     path: LoopPath,
-    rates: Callable[[Repetition], Any] = AT_RATES,
+    rates: Callable[[Repetition], Any] | None = None,
 ) -> Margins:
     """Stability margins of a family of controllers with K̂ held.
 
-    Where it learns what beats of the heart repeat, the worst of having learned nothing and of learning at each rate.
+    Where it learns what beats of the heart repeat, the worst of having learned nothing and of learning at any rate; of
+    the ratios, the rate of the one with the least gain reduction is sought.
 
     Args:
         params: One controller with knots.
         stiffness: Known stiffnesses K̂ (known,) [N/m].
         ratios: K_s/K̂, (ratios,) [-].
         path: Delay, sampling and filters of the loop.
-        rates: Gives the rates of the heart (rates,) [rad/s].
+        rates: Gives the only rates of the heart that count, (rates,) [rad/s]; None looks for the worst.
 
     Returns:
         Margins, each (known, ratios).
@@ -163,6 +159,7 @@ def family_margins(
     if learning is None:
         return reshaped(margins_of_cells(cells, ideal=path.ideal), 1, len(known), len(band))
     one: Repetition = jax.tree.map(lambda leaf: leaf[0], learning)
-    beats = at_rates(one, rates(one))
+    beats = at_rates(one, worst_rates.looked_at(one) if rates is None else rates(one))
     found = margins_of_cells(_beating_cells(cells, beats), ideal=path.ideal)
-    return worst_of(reshaped(found, 1, len(known), len(band), len(beats.rate)))
+    found = reshaped(found, 1, len(known), len(band), len(beats.rate))
+    return worst_of(found) if rates is not None else worst_rates.closer(found, cells, beats, path.ideal)

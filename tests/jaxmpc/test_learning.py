@@ -1,7 +1,6 @@
 """What is learned of the beat: on hearts of every rhythm, against its linear model, and that against its response."""
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import control
@@ -17,9 +16,8 @@ from jaxmpc.engine.base import scalars
 from jaxmpc.law import pulse, repetition
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.stability import held_beat
-from jaxmpc.stability.crossings import search_angles
-from jaxmpc.stability.family import RATES, family_margins, held, judged_where
-from jaxmpc.stability.held_beat import HeldBeat, spread_rates
+from jaxmpc.stability.family import held
+from jaxmpc.stability.held_beat import HeldBeat
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.synthesis.learning import PULLING
@@ -286,37 +284,6 @@ def test_the_loop_that_learns_has_its_poles_where_its_response_says(late: int, o
     np.testing.assert_allclose(characteristic(with_it) / characteristic(without) / own, ratio, rtol=1e-6)
 
 
-@pytest.mark.oracle
-def test_margins_that_learn_are_the_worst_of_a_dense_search() -> None:
-    """Every rate, and 0.1 Hz between angles: a resonance is 0.2 Hz wide and more."""
-    path = Experiment.published("family-wam").loop_path()
-    known, ratios = np.array([375.0]), np.array([0.94, 1.06])
-    found = family_margins(FAMILY, known, ratios, path)
-    gains, K2 = held(design(FAMILY), FAMILY.K2, jnp.asarray(known))
-    one = jax.tree.map(lambda leaf: leaf[0], gains)
-    learning = design(FAMILY).schedule.repetition
-    for i, ratio in enumerate(ratios):
-        contact = contact_of(known[0] * ratio, K2[0], path.with_cutoff(FAMILY.velocity_cutoff))
-        theta = jnp.asarray(np.union1d(np.arange(1, 5000) * 2.0 * np.pi * 1e-4, np.asarray(search_angles())))
-        peaks, lags = [], []
-        for rate in [None, *np.geomspace(learning.finder.least, learning.finder.most, RATES)]:
-            beat = None if rate is None else HeldBeat(learning, jnp.asarray(rate))
-            answers = [loop_response(one, contact, theta, cut, held=beat) for cut in (0.0, 1.0)]
-            peaks.append(max(float(jnp.max(1.0 / jnp.abs(1.0 + L))) for L in answers))
-            lags += [smallest_lag(np.asarray(L)) for L in answers]
-            assert np.max(np.abs(np.linalg.eigvals(np.asarray(closed_loop_matrix(one, contact, beat))))) < 1.0
-        assert float(found.M_s[0, i]) == pytest.approx(max(peaks), rel=1e-3)
-        assert float(found.phase_margin_deg[0, i]) == pytest.approx(min(lags), abs=0.05)
-
-
-def smallest_lag(L: np.ndarray) -> float:
-    """Over all crossings of the unit circle; between neighbours angle and logarithm count as straight [deg]."""
-    size = np.log(np.abs(L))
-    at = np.flatnonzero(size[:-1] * size[1:] < 0.0)
-    angle = np.angle(L[at]) + size[at] / (size[at] - size[at + 1]) * np.angle(L[at + 1] / L[at])
-    return float(np.degrees(np.min(np.mod(angle + np.pi, 2.0 * np.pi))))
-
-
 def seen_at_once(constants: Any, rate: float, q: np.ndarray) -> np.ndarray:
     """R₀ at q = z⁻¹ [-]: what is learned of an error, without lead and low-pass, a sample late."""
     turn = rate * T_s * np.arange(1, len(constants.gains) + 1)[:, None]
@@ -365,28 +332,6 @@ def test_what_is_used_in_part_takes_no_margin_either(hertz: float) -> None:
         for used in (0.25, 0.5, 0.75):
             partly = without + by_R * used * R / (1.0 + (1.0 - used) * R_0)
             assert np.max(1.0 / np.abs(1.0 + partly)) < 2.0
-
-
-def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
-    """At 25 rates; `family_margins` takes 12."""
-    path, (known, _) = Experiment.published("family-wam").loop_path(), judged_where(FAMILY.listening, 7)
-    found = family_margins(FAMILY, known, np.array([0.94, 1.06]), path, partial(spread_rates, count=25))
-    assert np.max(found.M_s) <= 2.0
-    assert np.min(found.gain_margin_db) >= 6.0
-    assert np.min(found.gain_reduction_db) >= 4.0
-    assert np.min(found.phase_margin_deg) >= 30.0
-    assert np.min(found.delay_margin_s) >= 1.5e-3
-    assert np.max(found.spectral_radius) < 1.0
-
-
-def test_rates_between_tell_hardly_more() -> None:
-    """Where its gain reduction is least."""
-    at = np.array([375.0]), np.array([0.94]), Experiment.published("family-wam").loop_path()
-    told, dense = (
-        float(family_margins(FAMILY, *at, partial(spread_rates, count=count)).gain_reduction_db[0, 0])
-        for count in (RATES, 60)
-    )
-    assert dense <= told < dense + 0.01
 
 
 @pytest.mark.oracle
