@@ -151,6 +151,15 @@ def test_what_the_proof_could_not_run_is_refused_before_the_search(table: dict[s
     assert caught.value.key.startswith(key)
 
 
+def test_a_baseline_that_says_nothing_of_its_parameters_has_those_of_the_job() -> None:
+    table = {"experiment": {"published": "table-1-wam"}, "params": {"published": "cautious"}}
+    uncompensated = TuneSpec.from_dict({**table, "baseline": {"compensation": 0.0}})
+    assert uncompensated.before.to_dict() == Params.published("cautious").to_dict()
+    assert uncompensated.baseline_compensation == 0.0
+    other = TuneSpec.from_dict({**table, "baseline": {"published": "text", "compensation": 0.0}})
+    assert other.before.to_dict() == Params.published("text").to_dict()
+
+
 def test_what_scenarios_and_horizons_may_have_is_taken() -> None:
     TuneSpec.from_dict({"tune": {"free": {"Hp": [8, 30], "Hu": [8, 16]}}, "params": {"Hu": 8.0}})
     table = {

@@ -53,7 +53,7 @@ def read_tables(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     return dict(
         experiment=experiment_table(data.get("experiment", {}), folder),
         params=params,
-        baseline=params_table(baseline, folder, "baseline") if "baseline" in data else None,
+        baseline=params_table(baseline, folder, "baseline") if baseline else None,
         baseline_compensation=share,
         tune=convert(tune, TuneSettings, "tune"),
         free=free,
