@@ -1,4 +1,4 @@
-"""One short sweep, run once and shared: its program takes longer to compile than its rows to compute."""
+"""Short sweeps, run once and shared: their programs take longer to compile than their rows to compute."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +8,7 @@ import pytest
 from sweeps.result import Result
 from sweeps.run import run
 from sweeps.spec import SweepSpec
+from tests.sweeps.drawn_rows import DATA, drawn_rows
 
 SPEC = """\
 [experiment]
@@ -59,6 +60,18 @@ def finished(spec: SweepSpec, tmp_path_factory: pytest.TempPathFactory) -> tuple
     """The folder of the sweep, done in one go, and its result. Nobody changes the folder."""
     folder = tmp_path_factory.mktemp("finished") / "run"
     return folder, run(spec, folder)
+
+
+@pytest.fixture(scope="session")
+def drawn() -> SweepSpec:
+    """The job of `drawn_rows`."""
+    return SweepSpec.from_dict(DATA)
+
+
+@pytest.fixture(scope="session")
+def exact() -> Result:
+    """Every row of `drawn_rows` in float64."""
+    return drawn_rows("float64")
 
 
 @pytest.fixture

@@ -11,16 +11,11 @@ from sweeps.plan import make_plan
 from sweeps.result import Result
 from sweeps.spec import SweepSpec
 from sweeps.tables import Precision
+from tests.sweeps.short_experiment import EXPERIMENT
 
 ROWS = 500
 DATA: dict[str, Any] = {
-    "experiment": {
-        "published": "table-1",
-        "duration": 1.0,
-        "settle": 0.3,
-        "stiffness": [375.0, 1900.0],
-        "reference": {"z": -5.0},
-    },
+    "experiment": EXPERIMENT,
     "params": {"published": "text"},
     "sweep": {
         "kind": "random",

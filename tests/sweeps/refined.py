@@ -3,16 +3,11 @@
 from typing import Any
 
 from sweeps.spec import SweepSpec
+from tests.sweeps.short_experiment import EXPERIMENT
 
 STAGE = {"keep": 12, "experiment": {"duration": 0.6, "settle": 0.3}}
 DATA: dict[str, Any] = {
-    "experiment": {
-        "published": "table-1",
-        "duration": 1.0,
-        "settle": 0.3,
-        "stiffness": [375.0, 1900.0],
-        "reference": {"z": -5.0},
-    },
+    "experiment": EXPERIMENT,
     "params": {"published": "cautious"},
     "sweep": {
         "kind": "random",

@@ -21,22 +21,11 @@ from sweeps.show.best_rows import chance
 from sweeps.show.report import sweep_report
 from sweeps.spec import SweepSpec
 from sweeps.undecided import IN_FLOAT64, TOP, amplification
-from tests.sweeps.drawn_rows import DATA, drawn_rows
-
-
-@pytest.fixture(scope="module")
-def spec() -> SweepSpec:
-    return SweepSpec.from_dict(DATA)
-
-
-@pytest.fixture(scope="module")
-def exact() -> Result:
-    """Every row in float64."""
-    return drawn_rows("float64")
+from tests.sweeps.drawn_rows import DATA
 
 
 def test_a_sweep_that_ranks_wrongly_is_put_right(
-    spec: SweepSpec,
+    drawn: SweepSpec,
     exact: Result,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -60,10 +49,10 @@ def test_a_sweep_that_ranks_wrongly_is_put_right(
         return finished
 
     monkeypatch.setattr(crew, "begin", unlucky)
-    chance_alone = run(replace(spec, goal=SweepGoal("rms", {"M_s": 5.0}, decide=0)), tmp_path / "alone")
+    chance_alone = run(replace(drawn, goal=SweepGoal("rms", {"M_s": 5.0}, decide=0)), tmp_path / "alone")
     assert chance_alone.best(1)["row"][0] != first
     lines: list[str] = []
-    found = run(spec, tmp_path / "run", told=lines.append)
+    found = run(drawn, tmp_path / "run", told=lines.append)
     assert found.best(TOP)["row"].tolist() == exact.best(TOP)["row"].tolist()
     best = found.best(1)
     np.testing.assert_array_equal(best["rms"], exact.best(1)["rms"])
@@ -79,9 +68,9 @@ def test_a_sweep_that_ranks_wrongly_is_put_right(
     assert f"\n{first} " in said
 
 
-def test_a_dry_run_says_that_rows_may_run_once_more(spec: SweepSpec) -> None:
-    assert "what float32 cannot decide, 1000 rows at most" in dry_run(spec, make_plan(spec), 2, measure=False)
-    exact = replace(spec, precision="float64")
+def test_a_dry_run_says_that_rows_may_run_once_more(drawn: SweepSpec) -> None:
+    assert "what float32 cannot decide, 1000 rows at most" in dry_run(drawn, make_plan(drawn), 2, measure=False)
+    exact = replace(drawn, precision="float64")
     assert "cannot decide" not in dry_run(exact, make_plan(exact), 2, measure=False)
 
 

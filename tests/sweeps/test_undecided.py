@@ -30,17 +30,6 @@ GOALS = (
 
 
 @pytest.fixture(scope="module")
-def spec() -> SweepSpec:
-    return SweepSpec.from_dict(DATA)
-
-
-@pytest.fixture(scope="module")
-def exact() -> Result:
-    """Every row in float64."""
-    return drawn_rows("float64")
-
-
-@pytest.fixture(scope="module")
 def single() -> Result:
     """Every row in float32."""
     return drawn_rows("float32")
@@ -101,17 +90,17 @@ def shaken(exact: Result, plan: Plan, seed: int) -> Result:
     return Result(plan, columns)
 
 
-def test_errors_as_large_as_they_are_said_to_become_do_no_harm(spec: SweepSpec, exact: Result) -> None:
+def test_errors_as_large_as_they_are_said_to_become_do_no_harm(drawn: SweepSpec, exact: Result) -> None:
     wrong = 0
     for seed, goal in product(range(5), GOALS):
-        before = shaken(exact, replace(make_plan(spec), goal=goal), seed)
+        before = shaken(exact, replace(make_plan(drawn), goal=goal), seed)
         wrong += int(before.best(1)["row"][0] != on(goal, exact).best(1)["row"][0])
         assert_decided(completed(before, exact), on(goal, exact))
     # Float32 alone takes another row for the best one.
     assert wrong > 0
 
 
-def test_the_most_important_run_where_they_are_too_many(spec: SweepSpec, single: Result, exact: Result) -> None:
+def test_the_most_important_run_where_they_are_too_many(drawn: SweepSpec, single: Result, exact: Result) -> None:
     goal = SweepGoal("peak_error", {}, decide=3)
     result = on(goal, single)
     places = result.undecided()
@@ -145,8 +134,8 @@ def test_of_no_rows_none_is_undecided(single: Result) -> None:
     assert chance(nothing) == []
 
 
-def test_what_counts_as_undecided(spec: SweepSpec) -> None:
-    plan = replace(make_plan(spec), goal=SweepGoal("rms", {"M_s": 2.0}))
+def test_what_counts_as_undecided(drawn: SweepSpec) -> None:
+    plan = replace(make_plan(drawn), goal=SweepGoal("rms", {"M_s": 2.0}))
     limit = plan.canonical["experiment"]["force_limit"]
     OK, FORCE, UNSTABLE, DIVERGED = Status.OK, Status.FORCE_LIMIT, Status.UNSTABLE, Status.DIVERGED
     table = [
@@ -176,8 +165,8 @@ def test_what_counts_as_undecided(spec: SweepSpec) -> None:
 
 
 @pytest.mark.parametrize("reduction", [20.0, np.inf])
-def test_rows_that_are_infinitely_good_are_decided(spec: SweepSpec, reduction: float) -> None:
-    plan = replace(make_plan(spec), goal=SweepGoal("gain_reduction_db", {"chatter": 1.0}))
+def test_rows_that_are_infinitely_good_are_decided(drawn: SweepSpec, reduction: float) -> None:
+    plan = replace(make_plan(drawn), goal=SweepGoal("gain_reduction_db", {"chatter": 1.0}))
     columns = made_up({"rms": [0.02] * 3, "peak_force": [5.0] * 3, "chatter": [1.001, 0.999, 0.5], "M_s": [1.5] * 3})
     columns |= {"status": np.zeros((3, 1), np.int8), "gain_reduction_db": np.full((3, 1), reduction)}
     assert sorted(undecided(plan, columns).tolist()) == [0, 1]
