@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
+import tuning.reports.files
 from jaxmpc import Experiment, Params
 from jaxmpc.world.heart.motion import Motion
 from tuning import TuneResult, TuneSpec
@@ -64,3 +67,23 @@ def test_what_was_found_is_kept_where_explaining_it_fails(result: TuneResult, tm
         write(result, failed, tmp_path, done(None))
     assert (tmp_path / "params.toml").exists()
     assert (tmp_path / "report.txt").exists()
+
+
+def test_a_controller_stands_beside_what_it_was_tuned_on_or_nowhere(
+    result: TuneResult, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed between two files."""
+    written: list[str] = []
+
+    def killed(path: Path, *rest: Any) -> None:
+        if written:
+            raise KeyboardInterrupt
+        written.append(path.name)
+        path.touch()
+
+    monkeypatch.setattr(tuning.reports.files, "write_toml", killed)
+    named = msgspec.structs.replace(result.spec, experiment=Experiment.published("table-1"))
+    with pytest.raises(KeyboardInterrupt):
+        write(replace(result, spec=named), done(study), tmp_path, done(None))
+    assert written == ["experiment.toml"]
+    assert not (tmp_path / "params.toml").exists()

@@ -22,7 +22,7 @@ HISTORY = "history.png"
 
 
 def write(result: TuneResult, explaining: Future[Study], folder: Path, way: Future[None]) -> None:
-    """Write params.toml and experiment.toml (if every goal is met), history.npz, report.txt, the figures, report.html.
+    """Write experiment.toml and params.toml (if every goal is met), history.npz, report.txt, the figures, report.html.
 
     Args:
         result: What was found.
@@ -36,8 +36,9 @@ def write(result: TuneResult, explaining: Future[Study], folder: Path, way: Futu
             path.unlink(missing_ok=True)  # of an earlier run: whoever names the folder would take it for this one's
     else:
         comment = f"Tuned by jaxmpc. Freeze it: {freeze_command(result.spec, experiment.name)}"
-        write_toml(params, {"params": result.params.to_dict(), "provenance": provenance(result)}, comment)
+        # Killed between the two, no controller stands beside another's experiment, or beside none.
         write_toml(experiment, tuned_on(result.spec.experiment), "What the controller beside this was tuned on.")
+        write_toml(params, {"params": result.params.to_dict(), "provenance": provenance(result)}, comment)
     write_atomic(folder / "history.npz", history(result))
     write_atomic(folder / "report.txt", report(result).encode())
     before_after_figure(result, folder / "before_after.png")
