@@ -88,7 +88,7 @@ def judged_margins(loops: ClosedLoops, data: Data) -> Margins:
     residual = jnp.broadcast_to(loops.residual[:, None], contacts.stiffness.shape)
 
     def one(gains: Gains, contact: Contact, residual: Any, believed: Any, learning: Repetition | None) -> Margins:
-        # Where the stiffness is not known nothing is learned. A quarter of the rates that freezing judges at do.
+        # Where the stiffness is not known nothing is learned. Freezing looks for the worst rate; here a few do.
         beats = None if learning is None else at_rates(learning, telling_rates(learning), jnp.isfinite(believed))
         return margins_one(gains, contact, data.judged.ideal, residual, beats)
 
