@@ -27,8 +27,8 @@ VELOCITY = "difference of positions"
 """What damping is by, in loops and margins. Before this stood in a spec it was the velocity itself: rows of the two do
 not belong in one folder."""
 SWINGING = "after settling"
-"""Of what the swing of runs is that end within 10 s of settling. Before this stood in a spec it was of the beginning of
-contact, too."""
+"""What the swing is of where a run ends within 10 s of settling. Before this stood in a spec it was of the beginning of
+contact, too: rows of the two do not belong in one folder."""
 _SHA = "sha256:"
 
 Columns = dict[str, np.ndarray]
