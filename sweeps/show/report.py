@@ -120,7 +120,8 @@ def _base(result: Result) -> list[Section]:
     base = result.baseline
     if base is None:
         return []
-    return [Section("Base controller", [f"Worst RMS {1e3 * base.rms:.4g} mN, worst M_s {base.M_s:.4g}."])]
+    words = f"Worst RMS {1e3 * base.rms:.4g} mN, worst M_s {base.M_s:.4g}."
+    return [Section("Base controller", [words if np.isfinite(base.rms) else "It is not OK at every stiffness."])]
 
 
 def _swept(result: Result) -> str:

@@ -106,3 +106,19 @@ def test_a_report_stands_a_sweep_in_which_everything_failed(finished: Finished, 
     sweep_report(failed, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size > 500_000
     assert "0 of 120 rows are OK" in table(failed)
+
+
+@pytest.mark.parametrize(
+    ("point", "words"),
+    [
+        (Point(0.0652, 4.52), "Worst RMS 65.2 mN, worst M_s 4.52."),
+        (Point(np.inf, np.inf), "It is not OK at every stiffness."),
+    ],
+)
+def test_a_base_that_is_lost_has_no_infinite_residual(
+    finished: Finished, tmp_path: Path, point: Point, words: str
+) -> None:
+    """As the paper's printed gains are on its own foam."""
+    page = tmp_path / "report.html"
+    sweep_report(replace(finished[1], baseline=point), page, curves=False)
+    assert words in page.read_text()
