@@ -17,6 +17,7 @@ from jaxmpc.stability.response import tip_response
 from jaxmpc.world import contact
 from jaxmpc.world.arm import chain
 from jaxmpc.world.loop_path import loop_path
+from tests.jaxmpc.test_computed_torque import Mujoco
 
 T_S = 1e-3
 TUNED = Params(K2=100.0, Khat_s=970.0, Q_p=10.0, T_cl=2e-4)
@@ -53,6 +54,17 @@ def joints_peak(params: Params, experiment: Experiment, K_s: float, delay: int) 
         for loop in (F + D, F @ np.linalg.inv(np.eye(3) + D)):
             worst = max(worst, float(np.abs(1.0 / np.linalg.eigvals(np.eye(3) + loop)).max()))
     return worst
+
+
+def test_the_modes_are_those_of_an_arm_that_a_force_at_its_tip_has_moved() -> None:
+    """C MuJoCo's: what springs at the joints do to the tip after a push, which leaves the null space at rest."""
+    experiment = base()
+    arm = Mujoco(np.array(experiment.arm.posture), np.zeros(4))
+    springs = np.array(experiment.arm.coulomb) / experiment.arm.presliding
+    angles = np.linalg.solve(arm.M, arm.J.T)  # a column for a push along each axis
+    back = arm.J @ np.linalg.solve(arm.M, springs[:, None] * angles)
+    squares = np.linalg.eigvals(back @ np.linalg.inv(arm.J @ angles)).real
+    np.testing.assert_allclose(presliding_frequencies(experiment), np.sqrt(np.sort(squares)), rtol=1e-6)
 
 
 @pytest.mark.oracle
