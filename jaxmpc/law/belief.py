@@ -4,6 +4,14 @@ The schedule has the control to the share of its authority, which rises where th
 after a push (`credit`), and falls where doubt is large. Doubt comes from a loop that rings or bursts, from the force's
 error where it is large or never calm, and from a guard that takes back gain. The sine sounds until the stiffness is
 known, and again from a doubt on, within the time that it may.
+
+With the noise ν over a second and β over a burst as multiples of what is usual, the mean square of the error u² [N²],
+the share of gain b that a guard has taken back, the time r without a calm [s], and a = 1 where the schedule has all of
+the control, doubt is the largest of these, from 0 to 2:
+
+    2 (ν − 1.3),   ½ (β − 2.2),   2 (u²/0.4² − 1),   5 (b − 0.1),   10 (r − 0.4 − 0.5 a)
+
+From 0 on the sine comes back, and from ½ on the authority goes.
 """
 
 from jaxmpc.law import credit
