@@ -95,6 +95,32 @@ def test_an_angle_near_another_has_its_own_slope() -> None:
         np.testing.assert_array_equal(jax.jvp(near, (x, y), (y, x))[1], y)
 
 
+def test_an_angle_is_not_turned_from_itself() -> None:
+    check_same(lambda c, x, y: OPS.sin(OPS.near(x, x)) + OPS.cos(x), C, X, Y)
+
+
+def test_products_with_nothing_and_with_one_are_what_they_are() -> None:
+    zero, one = jnp.zeros(7, jnp.float32), jnp.ones(7, jnp.float32)
+    check_same(lambda c, x, y: (x * zero, zero * x, x * one, one * x, x * 0.0, y / one), C, X, Y)
+    assert "mul" not in operations(lambda x: (x * 1.0, 1.0 * x), X)
+
+
+def test_slopes_of_the_extremes_are_those_of_what_they_take() -> None:
+    """Where both are equal, of either."""
+    for dtype in (jnp.float32, jnp.float64):
+        lane = lane_ops(dtype)
+        for one, other in ((2.0, 1.0), (1.0, 2.0)):
+            at, along = (dtype(one), dtype(other)), (dtype(3.0), dtype(5.0))
+            high, low = (3.0, 5.0) if one > other else (5.0, 3.0)
+            assert jax.jvp(lane.maximum, at, along)[1] == high
+            assert jax.jvp(lane.minimum, at, along)[1] == low
+        for value, slope in ((0.5, 3.0), (-2.0, 5.0), (2.0, 7.0)):
+            at, along = (dtype(value), dtype(-1.0), dtype(1.0)), (dtype(3.0), dtype(5.0), dtype(7.0))
+            assert jax.jvp(lane.clip, at, along)[1] == slope
+        for extreme in (lane.maximum, lane.minimum):
+            assert jax.jvp(extreme, (dtype(1.0), dtype(1.0)), (dtype(3.0), dtype(5.0)))[1] in (3.0, 5.0)
+
+
 def test_a_choice_between_something_and_one_is_made_once() -> None:
     def function(c: Any, x: Any, y: Any) -> Any:
         return jnp.where(x > c, c, 1.0) / jnp.where(x > c, x, 1.0)
