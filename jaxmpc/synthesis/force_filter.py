@@ -16,8 +16,8 @@ from jaxmpc.law.scalar import Scalar
 LEAST_NOISE = 1e-6
 """Noise of a sensor that has none, for which no steady filter filters [N]."""
 QUICKEST = 1e3
-"""Largest ω₀ T_s [rad]: a filter as quick as that lets all but a part in 1e12 pass. From 1e4 on it would be all to the
-last bit, and K_y = 1 is no filter of the law."""
+"""Largest ω₀ T_s [rad]: a filter as quick as that lets all but a part in 1e12 pass. From 1.2e4 on it would be all to
+the last bit, and K_y = 1 is no filter of the law."""
 
 
 def force_filter(cutoff: Scalar | None, T_s: Scalar, ops: Ops) -> ForceFilter | None:
