@@ -10,6 +10,7 @@ of the gain has no slope at rest either: the loop is that of the full gain.
 
 import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxmpc.beside import Beside
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.build import robot_on_its_tissue, structure_of
 from jaxmpc.files.errors import InputError
@@ -115,7 +115,7 @@ def radii(matrices: Float[np.ndarray, "*batch n n"]) -> Float[np.ndarray, "*batc
     usable = np.where(finite[..., None, None], matrices, 0.0)
     flat = usable.reshape(-1, *usable.shape[-2:])
     parts = np.array_split(flat, max(1, min(len(flat) // OF_A_THREAD, len(os.sched_getaffinity(0)))))
-    with Beside(len(parts)) as threads:  # LAPACK lets go of Python
+    with ThreadPoolExecutor(len(parts)) as threads:  # LAPACK lets go of Python
         eigenvalues = np.concatenate(list(threads.map(np.linalg.eigvals, parts)))
     found: np.ndarray = np.where(finite, np.abs(eigenvalues).max(axis=-1).reshape(finite.shape), np.inf)
     return found

@@ -33,9 +33,9 @@ def test_numbers_of_numpy_count_places_and_limits(finished: Finished) -> None:
     assert result.controller(np.int8(3)).to_dict() == result.controller(3).to_dict()
 
 
-@pytest.mark.parametrize("limit", [NAN, float("inf"), "2", True])
+@pytest.mark.parametrize("limit", [NAN, float("inf"), "2", True, -1.0, 1.0])
 def test_a_limit_of_the_best_is_a_finite_number(finished: Finished, limit: Any) -> None:
-    with pytest.raises(InputError, match=r"M_s = .*: must be a finite number"):
+    with pytest.raises(InputError, match=r"M_s = .*: must be a number above 1"):
         finished[1].best(3, limit)
 
 
