@@ -42,7 +42,8 @@ if find_spec("jax"):
     # As the command line does: one device compiles to other last bits than several.
     jax.config.update("jax_num_cpu_devices", 2)
 
-if find_spec("jaxtyping") and find_spec("beartype"):
+# One Python of several says it all: an eighth of the fast tests' time is spent on it.
+if find_spec("jaxtyping") and find_spec("beartype") and "SHAPES_UNCHECKED" not in os.environ:
     from jaxtyping import install_import_hook
 
     from tests.shapes import with_shapes

@@ -1,5 +1,7 @@
 """Shapes in signatures are held while tests run."""
 
+import os
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ def test_right_shapes_pass() -> None:
     assert np.asarray(dare(Phi, C, Q, R)).shape == (2, 2)
 
 
+@pytest.mark.skipif("SHAPES_UNCHECKED" in os.environ, reason="shapes are not to be checked in this run")
 @pytest.mark.parametrize(
     "wrong", [(Phi, C[None], Q, R), (Phi, C, jnp.eye(3), R), (Phi, C, Q, jnp.eye(2)), (Phi[0], C, Q, R)]
 )

@@ -35,16 +35,21 @@ def test_margins_that_learn_are_the_worst_of_a_dense_search() -> None:
     gains, K2 = held(design(FAMILY), FAMILY.K2, jnp.asarray(known))
     one = jax.tree.map(lambda leaf: leaf[0], gains)
     learning = design(FAMILY).schedule.repetition
+    theta = jnp.asarray(np.union1d(np.arange(1, 5000) * 2.0 * np.pi * 1e-4, np.asarray(search_angles())))
+
+    @jax.jit  # a program instead of one for each operation
+    def judged(contact: Any, beat: HeldBeat | None) -> Any:
+        answers = [loop_response(one, contact, theta, cut, held=beat) for cut in (0.0, 1.0)]
+        return answers, closed_loop_matrix(one, contact, beat)
+
     for i, ratio in enumerate(ratios):
         contact = contact_of(known[0] * ratio, K2[0], PATH.with_cutoff(FAMILY.velocity_cutoff))
-        theta = jnp.asarray(np.union1d(np.arange(1, 5000) * 2.0 * np.pi * 1e-4, np.asarray(search_angles())))
         peaks, lags = [], []
         for rate in [None, *np.geomspace(learning.finder.least, learning.finder.most, RATES)]:
-            beat = None if rate is None else HeldBeat(learning, jnp.asarray(rate))
-            answers = [loop_response(one, contact, theta, cut, held=beat) for cut in (0.0, 1.0)]
+            answers, matrix = judged(contact, None if rate is None else HeldBeat(learning, jnp.asarray(rate)))
             peaks.append(max(float(jnp.max(1.0 / jnp.abs(1.0 + L))) for L in answers))
             lags += [smallest_lag(np.asarray(L)) for L in answers]
-            assert np.max(np.abs(np.linalg.eigvals(np.asarray(closed_loop_matrix(one, contact, beat))))) < 1.0
+            assert np.max(np.abs(np.linalg.eigvals(np.asarray(matrix)))) < 1.0
         assert float(found.M_s[0, i]) == pytest.approx(max(peaks), rel=1e-3)
         assert float(found.phase_margin_deg[0, i]) == pytest.approx(min(lags), abs=0.05)
 

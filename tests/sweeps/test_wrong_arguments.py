@@ -102,10 +102,16 @@ def test_a_flag_of_another_verb_is_refused_by_name(command: Command, capsys: pyt
 
 
 def test_a_scheduler_that_does_not_answer_leaves_no_folder(
-    write_spec: Write, spec_text: str, command: Command, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    write_spec: Write,
+    spec_text: str,
+    command: Command,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An empty sweep was left behind, which the same command without Dask then went on with."""
     pytest.importorskip("distributed")
+    monkeypatch.setattr("sweeps.cluster.CONNECT_S", 1.0)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"  # nobody listens
