@@ -42,7 +42,7 @@ if find_spec("jax"):
     # As the command line does: one device compiles to other last bits than several.
     jax.config.update("jax_num_cpu_devices", 2)
 
-# One Python of several says it all: an eighth of the fast tests' time is spent on it.
+# CI does so in one of its two runs: it takes an eighth of the time.
 if find_spec("jaxtyping") and find_spec("beartype") and "SHAPES_UNCHECKED" not in os.environ:
     from jaxtyping import install_import_hook
 
