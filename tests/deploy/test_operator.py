@@ -67,13 +67,18 @@ def test_an_enter_from_before_it_was_asked_for_begins_nothing(monkeypatch):
             time.sleep(0.3)
             assert not operator.command.start
             os.write(master, b"\n")
-            end = time.monotonic() + 10.0
-            while not operator.command.start and time.monotonic() < end:
-                time.sleep(0.01)
-            assert operator.command.start
+            begun(operator)
             listened_out(master)
     finally:
         os.close(master)
+
+
+def begun(operator):
+    """The operator's Enter is heard, within some seconds."""
+    end = time.monotonic() + 10.0
+    while not operator.command.start and time.monotonic() < end:
+        time.sleep(0.01)
+    assert operator.command.start
 
 
 def listened_out(master):
@@ -97,10 +102,7 @@ def test_a_ctrl_d_is_no_end_of_listening(monkeypatch):
             for typed in (b"\x04", b"\x04", b"\n"):
                 time.sleep(0.3)
                 os.write(master, typed)
-            end = time.monotonic() + 10.0
-            while not operator.command.start and time.monotonic() < end:
-                time.sleep(0.01)
-            assert operator.command.start
+            begun(operator)
             listened_out(master)
     finally:
         os.close(master)

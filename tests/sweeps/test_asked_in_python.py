@@ -34,7 +34,7 @@ def test_numbers_of_numpy_count_places_and_limits(finished: Finished) -> None:
 
 
 @pytest.mark.parametrize("limit", [NAN, float("inf"), "2", True, -1.0, 1.0])
-def test_a_limit_of_the_best_is_a_finite_number(finished: Finished, limit: Any) -> None:
+def test_a_limit_of_the_best_is_one_that_a_loop_may_keep(finished: Finished, limit: Any) -> None:
     with pytest.raises(InputError, match=r"M_s = .*: must be a number above 1"):
         finished[1].best(3, limit)
 

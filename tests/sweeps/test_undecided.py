@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxmpc.files.errors import InputError
+from jaxmpc.loop.linear import HIGHEST_ERROR
 from jaxmpc.quantities import METRICS
 from jaxmpc.status import Status
 from sweeps.decided import plan_in_float64, with_decided
@@ -162,6 +163,22 @@ def test_what_counts_as_undecided(drawn: SweepSpec) -> None:
     assert found[4] == 7
     columns[IN_FLOAT64][:] = True
     assert undecided(plan, columns).tolist() == []
+
+
+@pytest.mark.parametrize("name", ["peak_force", "peak_error"])
+@pytest.mark.parametrize("direction", [(1, 0, 0), (0, 0, 1), (1, 1, 1), (1, 0.9, 0.8), (0.2, 1, 1)])
+@pytest.mark.parametrize(("share", "near"), [(0.995, False), (1.005, True)])
+def test_a_force_is_near_its_limit_in_any_direction(
+    drawn: SweepSpec, name: str, direction: tuple[float, ...], share: float, near: bool
+) -> None:
+    """From where float32's error reaches it, along one axis or all, where no component is over 1/√3 of the length."""
+    plan = make_plan(drawn)
+    limit = {"peak_force": plan.canonical["experiment"]["force_limit"], "peak_error": HIGHEST_ERROR}[name]
+    columns = made_up({"rms": [0.02, 0.03], "M_s": [1.5, 1.5], "peak_force": [5.0, 5.0]})
+    columns |= {"status": np.zeros((2, 1), np.int8), name: np.full((2, 1, 3), 0.1)}
+    length = share * limit / (1.0 + METRICS[name].float32_error)
+    columns[name][1, 0] = length * np.array(direction) / np.linalg.norm(direction)
+    assert undecided(plan, columns).tolist() == [1] * near
 
 
 @pytest.mark.parametrize("reduction", [20.0, np.inf])

@@ -98,7 +98,7 @@ class Draw(NamedTuple):
 
 
 def draw(base: Experiment, settings: Scenarios, seed: int) -> Draw:
-    """What a seed draws of robot and tissue, a hundredth of a scenario's work; on the arm alone they count."""
+    """What a seed draws of robot and tissue, without an experiment around it; on the arm alone they count."""
     # Everything is drawn whether it is used or not, so that one half-width does not change what another draws.
     *joints, mass, stiffness, delay, cable = random_of(seed, STREAM).uniform(-1.0, 1.0, 8).tolist()
     chosen, cable_hz = settings.delays or (base.delay,), base.arm.cable_hz
