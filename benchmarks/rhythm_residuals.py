@@ -15,12 +15,14 @@ import numpy as np
 from msgspec.structs import replace
 
 from jaxmpc import Experiment, Params, evaluate
+from jaxmpc.files.errors import InputError
+from jaxmpc.terminal.arguments import params_from
 from tuning.job.scenarios import Rhythm, Scenarios, scenario
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--params", default="family", help="a published set")
+    parser.add_argument("--params", default="family", help="a published set or a file")
     parser.add_argument(
         "--rhythms", nargs="+", default=["premature", "bigeminy", "rate-step"], choices=get_args(Rhythm)
     )
@@ -29,7 +31,11 @@ def main() -> None:
     parser.add_argument("--observer", type=float, default=0.0, help="its momentum observer [rad/s]")
     args = parser.parse_args()
     base = Experiment.published("family-wam")
-    text, judged = Params.published("text"), Params.published(args.params)
+    text = Params.published("text")
+    try:
+        judged = params_from(args.params)
+    except InputError as wrong:
+        parser.error(str(wrong))
     for rhythm in args.rhythms:
         for seed in args.seeds:
             began = time.monotonic()
