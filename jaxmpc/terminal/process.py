@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from jaxmpc.files.errors import InputError
 
-AUTOTUNING = "xla_gpu_autotune_level"
-"""A flag of XLA."""
+REPEATABLE = {"xla_gpu_autotune_level": "0", "xla_gpu_deterministic_ops": "true", "xla_gpu_enable_triton_gemm": "false"}
+"""Flags of XLA, by which a GPU computes the same bits every time."""
 
 
 def one_thread_for_blas() -> None:
@@ -45,22 +45,25 @@ def may_have_a_gpu() -> bool:
     return find_spec("jax_plugins") is not None
 
 
-def choose_untimed() -> None:
-    """Have XLA choose among a GPU's algorithms by rule, unless the user has said otherwise; call before JAX computes.
+def repeat_to_the_bit() -> None:
+    """Have a GPU compute the same bits every time, where the user has not said otherwise; call before JAX computes.
 
-    It tries which is the fastest otherwise, and on every host of a kind another may be: other last bits. Nothing is
-    slower without (docs/gpu.md). Only where JAX has a plugin for a GPU: programs are kept by these flags, too.
+    XLA tries which of its algorithms is the fastest otherwise, and on every host of a kind another may be; and it adds
+    up in whatever order threads arrive. Products by Triton have no algorithm that is chosen by rule. Nothing is slower
+    without (docs/gpu.md). Only where JAX has a plugin for a GPU: programs are kept by these flags, too.
     """
+    if not may_have_a_gpu():
+        return
     flags = os.environ.get("XLA_FLAGS", "")
-    if may_have_a_gpu() and AUTOTUNING not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} --{AUTOTUNING}=0".strip()
+    ours = (f"--{flag}={value}" for flag, value in REPEATABLE.items() if flag not in flags)
+    os.environ["XLA_FLAGS"] = " ".join([*flags.split(), *ours])
 
 
 def use_all_cores(cores: int | None = None) -> None:
     """Switch 64-bit JAX on and give every CPU core a device of its own; call before JAX computes anything.
 
-    Of a GPU's memory it takes what is needed when it is, and its algorithms by rule; see `memory_as_needed`,
-    `choose_untimed`.
+    Of a GPU's memory it takes what is needed when it is, and has it repeat; see `memory_as_needed`,
+    `repeat_to_the_bit`.
 
     There are two devices at least: a program for one device compiles to other last bits than one for
     several, and results must not depend on the number of cores. A device count set before, in XLA_FLAGS
@@ -77,7 +80,7 @@ def use_all_cores(cores: int | None = None) -> None:
     config: Any = jax.config
     config.update("jax_enable_x64", True)
     memory_as_needed()
-    choose_untimed()
+    repeat_to_the_bit()
     remember_programs()
     if (set_before := _devices_asked_for(config)) is None:
         config.update("jax_num_cpu_devices", max(2, cores or len(os.sched_getaffinity(0))))

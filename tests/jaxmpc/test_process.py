@@ -1,12 +1,14 @@
 """What an entry point asks of the libraries that it starts, where the user has not."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 
 import pytest
 
 from jaxmpc.terminal import process
-from jaxmpc.terminal.process import choose_untimed, memory_as_needed, one_thread_for_blas
+from jaxmpc.terminal.process import REPEATABLE, memory_as_needed, one_thread_for_blas, repeat_to_the_bit
 
 
 @pytest.mark.parametrize(
@@ -27,19 +29,30 @@ def test_what_the_user_has_said_stays(
         assert os.environ[name] == given
 
 
+OTHERS = "--xla_gpu_deterministic_ops=true --xla_gpu_enable_triton_gemm=false"
+
+
 @pytest.mark.parametrize(
     ("said", "with_plugin", "without"),
     [
-        ("", "--xla_gpu_autotune_level=0", ""),
-        ("--xla_dump_to=/tmp/x", "--xla_dump_to=/tmp/x --xla_gpu_autotune_level=0", "--xla_dump_to=/tmp/x"),
-        ("--xla_gpu_autotune_level=4", "--xla_gpu_autotune_level=4", "--xla_gpu_autotune_level=4"),
+        ("", f"--xla_gpu_autotune_level=0 {OTHERS}", ""),
+        ("--xla_dump_to=/tmp/x", f"--xla_dump_to=/tmp/x --xla_gpu_autotune_level=0 {OTHERS}", "--xla_dump_to=/tmp/x"),
+        ("--xla_gpu_autotune_level=4", f"--xla_gpu_autotune_level=4 {OTHERS}", "--xla_gpu_autotune_level=4"),
     ],
 )
-def test_algorithms_are_chosen_by_rule_where_there_may_be_a_gpu(
+def test_a_gpu_repeats_where_there_may_be_one(
     monkeypatch: pytest.MonkeyPatch, said: str, with_plugin: str, without: str
 ) -> None:
     for plugin, wanted in ((object(), with_plugin), (None, without)):
         monkeypatch.setenv("XLA_FLAGS", said)
         monkeypatch.setattr(process, "find_spec", lambda name, plugin=plugin: plugin)
-        choose_untimed()
+        repeat_to_the_bit()
         assert os.environ["XLA_FLAGS"] == wanted
+
+
+def test_xla_knows_the_flags() -> None:
+    flags = " ".join(f"--{flag}={value}" for flag, value in REPEATABLE.items())
+    code = "import jax; print(jax.numpy.ones(3).sum())"  # XLA aborts the process at a flag it does not know
+    surroundings = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run([sys.executable, "-c", code], env=surroundings, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "3.0\n"), done.stderr
