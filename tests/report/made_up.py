@@ -8,6 +8,8 @@ from jaxmpc.report.influence import influence
 
 FOREIGN = "</script><img src=x onerror=alert(1)>\"'&amp;"
 """Nobody's name, but anybody may write a file that has it."""
+HASH = "cdf83348" * 8
+"""As long as a sweep's, and no place to break it."""
 SWEPT = ("lam", "T_cl", "K2", "Q_p", "Hp")
 SHOWN = ("rms", "true_rms", "peak_to_peak", "effort", "chatter", "clamped")
 TISSUES = (375.0, 810.0, 1900.0)
@@ -84,4 +86,5 @@ def report(count: int, seed: int = 0) -> Report:
         Chart("bars", "", "mN", [Series(n, [], [3.0, 4.0], k, "bars") for k, n in enumerate("ab")], categories="xy"),
     ]  # fmt: skip
     section = Section(f"Loops {FOREIGN}", [FOREIGN], [Table(["a", FOREIGN], [[FOREIGN, "1"]], FOREIGN)], charts)
-    return Report(f"Sweep {FOREIGN}", [f"Made up of {count} rows."], candidates(count, seed), [section])
+    lead = [f"Made up of {count} rows.", f"hash {HASH}"]
+    return Report(f"Sweep {FOREIGN}", lead, candidates(count, seed), [section])

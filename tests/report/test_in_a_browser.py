@@ -67,7 +67,7 @@ def test_a_hundred_thousand_rows(chrome: Opened, tmp_path: Path) -> None:
     assert (chrome.said, chrome.asked) == ([], [path.as_uri()])
 
 
-@pytest.mark.parametrize(("dark", "width"), [(False, 1400), (True, 800)])
+@pytest.mark.parametrize(("dark", "width"), [(False, 1400), (True, 800), (False, 420)])
 def test_it_fits_and_is_drawn(dark: bool, width: int, chrome: Opened, small: Path) -> None:
     page = chrome.page
     page.emulate_media(color_scheme="dark" if dark else "light")
