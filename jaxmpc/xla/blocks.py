@@ -6,7 +6,6 @@ exception, measured: a process with a single device compiles to other last bits 
 which is why the command line always makes two at least.
 """
 
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -32,8 +31,8 @@ def rows_of_a_block() -> int:
 class OverBlocks:
     """A compiled version of f(batch, shared) that works block by block, dealt out to all local devices.
 
-    It takes any number of rows; the last block is padded with copies of the last row. One compilation per number of
-    blocks. Where an entry point keeps traced programs (`jaxmpc.xla.store`), a block's is one of them.
+    It takes any number of rows; the last block is padded with copies of the last row. Where an entry point keeps traced
+    programs (`jaxmpc.xla.store`), a block's is one of them.
     """
 
     def __init__(
@@ -46,35 +45,25 @@ class OverBlocks:
             block: Rows of a block.
             static: What the function is traced for, by name.
         """
-        self._function, self._block, self._static = function, block, dict(static or {})
-        self._names = [*inspect.signature(function).parameters][:2]
-        self._dealt: dict[str | None, OverDevices] = {}
+        self._block, self._dealt = block, OverDevices(function, static)
 
     def begin(self, batch: Any, shared: Any) -> Callable[[], Any]:
-        """Have the devices begin; what is returned waits for them, and gives the result as numpy."""
-        rows = len(jax.tree.leaves(batch)[0])
-        whole = padded(batch, self._block * jax.local_device_count())
-        blocks = jax.tree.map(lambda leaf: leaf.reshape(-1, self._block, *leaf.shape[1:]), whole)
-        shared = jax.tree.map(jnp.asarray, shared)
-        found = self._program(jax.tree.map(lambda leaf: leaf[0], blocks), shared).begin(blocks, shared)
-        return lambda: jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:rows], found())
+        """Have the devices begin; what is returned waits for them, and gives the result as numpy.
+
+        They are called once for a block on each: of a loop over several, XLA makes another program, with other bits.
+        """
+        width, rows = self._block * jax.local_device_count(), len(jax.tree.leaves(batch)[0])
+        whole = padded(batch, width)
+        shared = self._dealt.everywhere(jax.tree.map(jnp.asarray, shared))
+        begun = [
+            self._dealt.begin(jax.tree.map(lambda leaf, first=first: leaf[first : first + width], whole), shared)
+            for first in range(0, rows, width)
+        ]
+        return lambda: jax.tree.map(lambda *parts: np.concatenate(parts)[:rows], *(finish() for finish in begun))
 
     def __call__(self, batch: Any, shared: Any) -> Any:
         """What the function returns for every row, as numpy."""
         return self.begin(batch, shared)()
-
-    def _program(self, one: Any, shared: Any) -> "OverDevices":
-        """That of blocks like this one."""
-        arguments = dict(zip(self._names, (one, shared), strict=True))
-        name = store.name_of(self._function, arguments, self._static)
-        if name not in self._dealt:
-            run = store.kept_or_plain(self._function, self._static, one, shared)
-
-            def over(blocks: Any, shared: Any) -> Any:
-                return jax.lax.map(lambda one: run(one, shared), blocks)
-
-            self._dealt[name] = OverDevices(over)
-        return self._dealt[name]
 
 
 class OverDevices:

@@ -134,7 +134,7 @@ def test_blocks_of_another_process_are_not_traced_again(folder: Path, monkeypatc
     rows = np.linspace(0.0, 3.0, 100)
 
     def blocks(rows: Any, scale: Any = ARGUMENTS[1]) -> Wave:
-        found: Wave = OverBlocks(wave, 8, {"kind": "sin"})(rows, scale)
+        found: Wave = OverBlocks(wave_alone, 8, {"kind": "sin"})(rows, scale)
         return found
 
     with monkeypatch.context() as patch:

@@ -1,10 +1,13 @@
 """Short sweeps, run once and shared: their programs take longer to compile than their rows to compute."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from jaxmpc.xla import blocks as xla
+from sweeps import blocks, compute
 from sweeps.result import Result
 from sweeps.run import run
 from sweeps.spec import SweepSpec
@@ -55,11 +58,28 @@ def spec(tmp_path_factory: pytest.TempPathFactory) -> SweepSpec:
     return SweepSpec.from_toml(path)
 
 
+@contextmanager
+def small_blocks() -> Iterator[None]:
+    """Blocks of 64 rows instead of 256: sweeps here are of some hundred rows in chunks of some dozens."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (xla, blocks, compute):
+            patch.setattr(module, "BLOCK", 64)
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def in_small_blocks() -> Iterator[None]:
+    """Each file here; what the session shares is made beforehand, and asks for them itself."""
+    with small_blocks():
+        yield
+
+
 @pytest.fixture(scope="session")
 def finished(spec: SweepSpec, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     """The folder of the sweep, done in one go, and its result. Nobody changes the folder."""
     folder = tmp_path_factory.mktemp("finished") / "run"
-    return folder, run(spec, folder)
+    with small_blocks():
+        return folder, run(spec, folder)
 
 
 @pytest.fixture(scope="session")
@@ -71,7 +91,8 @@ def drawn() -> SweepSpec:
 @pytest.fixture(scope="session")
 def exact() -> Result:
     """Every row of `drawn_rows` in float64."""
-    return drawn_rows("float64")
+    with small_blocks():
+        return drawn_rows("float64")
 
 
 @pytest.fixture
