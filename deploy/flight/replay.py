@@ -12,11 +12,14 @@ import numpy as np
 
 from deploy.controller.artifact import Artifact
 from deploy.controller.runtimes import arm_runtime
+from deploy.flight.forgetting import FILTER, observers_forget, velocity_forgets
 from deploy.flight.recorder import COLUMNS, FlightRecording, RecordingError
 from jaxmpc.law.recorded import RecordedInputs
 from jaxmpc.terminal import layout
 
 INPUTS = ("time", "q", "qd", "force", "force_ref", "applied", "a", "state", "position_age")
+GIVEN = ("qd", "force_ref", "applied")
+"""Those that the law was given in every cycle of contact; a force may be missing."""
 COMPARED: Mapping[str, str] = {
     "qd": "rad/s",
     "u": "N",
@@ -37,15 +40,6 @@ LAW = ("u", "v", "a", "p_hat", "gain", *KNOWN)
 TOLERANCE = 1e-9
 """Largest difference, as a share of the largest value or of 1 in its unit, whichever is more: rounding stays below
 1e-12, another law or gain does not."""
-SETTLING = 2.0
-"""Left out at the beginning of a recording that begins (almost) in contact [s]: the observers' earlier samples are not
-in it. Half of that brings the paper's text controller within 1e-12. With less gain they forget more slowly: a second
-counts as much as the gain that a guard leaves. The gain itself would take minutes: it is taken from the recording until
-then. What a schedule believes of the tissue goes back to the contact: a flight with one is not replayed from later
-on."""
-FILTER, FORGOTTEN = 0.3, 25.0
-"""Left out after a missing position or cycle, in which the velocity's low-pass forgets: so long [s], or so many of its
-time constants where that is longer. They leave 1e-11 of a difference."""
 MISSED = 1.999
 """Periods from a sample to the next that are no longer one: the loop counts 2 as a cycle missed [-]."""
 LARGEST = 1e60
@@ -111,10 +105,12 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
     if not np.all(np.diff(signals["time"][:, 0], prepend=-math.inf) > 0.0):
         raise RecordingError("its times do not rise")
     for name in (*INPUTS, "deflection"):
-        given = signals.get(name, np.zeros(1))
-        if np.any(np.isfinite(given) & (np.abs(given) > LARGEST)):
+        if np.any(np.abs(signals.get(name, np.zeros(1))) > LARGEST):
             raise RecordingError(f"its signal {name} is beyond what a robot has, {LARGEST:g}")
     contact = number == states.index("contact")
+    for name in GIVEN:
+        if np.any(np.isnan(signals[name][contact])):
+            raise RecordingError(f"its signal {name} is no number somewhere in contact, where the law was given one")
     before = np.concatenate([[False], contact[:-1]])
     enters = contact & ~before
     enters[:1] = False  # there is no sample before it to enter from
@@ -122,15 +118,13 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
     judged = np.ones(len(time), bool)
     gain = signals["gain"]
     seen = np.cumsum(np.where(gain > 0.0, gain, 1.0)) * artifact.T_s
-    cutoff = artifact.loop.velocity_cutoff
-    forgets = max(FILTER, FORGOTTEN / cutoff) if cutoff else FILTER
     if np.any(contact & (time < time[:1] + FILTER)):
         if scheduled:
             lacks = (
                 "what the schedule believes of the tissue goes back to the contact, before the recording's first sample"
             )
             raise RecordingError(f"{lacks}: fly with a longer recorder, `jaxmpc run --recorded S`")
-        judged &= seen >= SETTLING
+        judged &= seen >= observers_forget(artifact)
     force_ref = signals["force_ref"]
     if artifact.preview:
         force_ref, whole = _windows(force_ref, contact, 1 + len(artifact.gains.mpc_ref))
@@ -142,7 +136,7 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
     if len(lost):
         row = np.searchsorted(lost, np.arange(len(time)), side="right") - 1
         last_lost = np.where(row >= 0, np.maximum(time[lost[np.maximum(row, 0)]], last_lost), last_lost)
-    fresh = time > last_lost + forgets
+    fresh = time > last_lost + velocity_forgets(artifact)
     servo = np.isin(number, [i for i, name in enumerate(states) if name in SERVO]) & np.all(
         np.isfinite(signals["a"]), axis=1
     )
@@ -225,14 +219,20 @@ def compare(
             where = where & inputs.contact
         if signal == "wanted":
             where = where & np.any(np.isnan(inputs.deflection), axis=1)
-        where = where & np.all(np.isfinite(again), axis=1)
-        recorded, time = recording.signals[signal][where], inputs.time[where]
+        made = np.all(np.isfinite(again), axis=1)
+        if signal in LAW:
+            # In control the law makes all of them: one that is no number here differs, and is not left out.
+            made |= inputs.contact & np.all(np.isfinite(inputs.q), axis=1)
+        where = where & made
+        recorded, found, time = recording.signals[signal][where], again[where], inputs.time[where]
         if not len(recorded):
             rows.append(Difference(signal, COMPARED[signal], 0, 0.0, math.nan, tolerance, math.nan, 0.0))
             continue
-        # A recorded NaN is an infinite difference, not none.
-        apart = np.nan_to_num(np.max(np.abs(recorded - again[where]), axis=1), nan=math.inf)
-        bound = tolerance * max(1.0, float(np.max(np.abs(again[where]))))
+        # What is no number in one of them alone is an infinite difference, not none.
+        same = (recorded == found) | (np.isnan(recorded) & np.isnan(found))
+        with np.errstate(invalid="ignore"):
+            apart = np.nan_to_num(np.max(np.where(same, 0.0, np.abs(recorded - found)), axis=1), nan=math.inf)
+        bound = tolerance * max(1.0, float(np.max(np.abs(found), initial=0.0, where=np.isfinite(found))))
         beyond = np.flatnonzero(apart > bound)
         most = int(np.argmax(apart))
         first, by = (float(time[beyond[0]]), float(apart[beyond[0]])) if len(beyond) else (math.nan, 0.0)

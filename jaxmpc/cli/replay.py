@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from deploy.controller.file import ArtifactError, load
     from deploy.controller.runtimes import flown_controller
     from deploy.flight.recorder import RecordingError, read
-    from deploy.flight.replay import compare, inputs_of, table, through_runtime
+    from deploy.flight.replay import LAW, compare, inputs_of, table, through_runtime
     from jaxmpc.files.outputs import check_file
 
     check_file("--report", args.report, ".html")
@@ -71,6 +71,10 @@ def run(args: argparse.Namespace) -> int:
     if not any(row.samples for row in everything):
         bound = "one with at least a second of control in it"
         raise InputError("recording", args.recording, bound, "Nothing of this one can be computed anew.")
+    if inputs.contact.any() and not any(row.samples for row in everything if row.signal in LAW):
+        bound = "one with the beginning of its contact, or with more of it than the controller remembers"
+        remedy = "No sample of the law could be judged: fly with a longer recorder, `jaxmpc run --recorded S`."
+        raise InputError("recording", args.recording, bound, remedy)
     parted = [row for row in everything if row.parts]
     if parted:
         first = min(parted, key=lambda row: row.first)

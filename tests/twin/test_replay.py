@@ -1,6 +1,7 @@
 """Flights made by the runtime itself, recorded, and replayed through it and through the traced law."""
 
 import hashlib
+import math
 import re
 import shutil
 from argparse import ArgumentParser
@@ -12,11 +13,15 @@ import pytest
 
 from deploy.controller.file import load, to_bytes
 from deploy.controller.runtimes import arm_runtime
-from deploy.flight.recorder import COLUMNS, FlightRecorder, read
-from deploy.flight.replay import KNOWN, SETTLING, compare, inputs_of, through_runtime
+from deploy.flight.forgetting import SETTLING, observers_forget
+from deploy.flight.recorder import COLUMNS, FlightRecorder, RecordingError, read
+from deploy.flight.replay import KNOWN, compare, inputs_of, through_runtime
 from jaxmpc.cli import replay as verb
 from jaxmpc.cli.flight_report import _states
 from jaxmpc.files.errors import InputError
+from jaxmpc.law import cascade
+from jaxmpc.law.force_filter import ForceFilter
+from jaxmpc.law.gains import constant_reference
 from jaxmpc.law.reference import told
 from jaxmpc.pictures import recording_figure
 from jaxmpc.pictures.figures import figure
@@ -191,6 +196,73 @@ def test_a_recording_that_begins_in_contact_settles(tmp_path, capsys, gains):
     late = np.cumsum(recording.signals["gain"]) * 1e-3 >= 0.5 * SETTLING if gains.guard is None else inputs.judged
     assert np.max(np.abs(again["v"] - recording.signals["v"])[late]) < 1e-11
     capsys.readouterr()
+
+
+@pytest.mark.parametrize(("bandwidth", "judged"), [(12.0, True), (5.0, False)])
+def test_a_recording_that_begins_in_contact_is_judged_once_a_slow_observer_has_forgotten(tmp_path, bandwidth, judged):
+    artifact = made.arm_artifact(momentum_observer=bandwidth)
+    rows = replayed(artifact, fly(artifact, samples=3200, contact=(100, 3200), seconds=3.0), tmp_path)
+    assert not any(row.parts for row in rows.values())
+    assert (rows["v"].samples > 0) == judged
+
+
+def test_observers_forget_a_wrong_beginning_within_the_time_that_a_replay_leaves_out():
+    for Ky, Kr in ((0.02, 0.1), (0.5, 150.0)):
+        gains = made.text_gains()._replace(force_filter=ForceFilter(made.T_S, Ky, Kr))
+        artifact = replace(made.arm_artifact(), gains=gains)
+        law = constant_reference(gains)
+        one, other = cascade.init(law, -5.0), cascade.init(law, 3.0)
+        samples = round(observers_forget(artifact) / made.T_S)
+        assert (samples > 2000) == (Ky < 0.1)
+        for k in range(samples):
+            force, applied = -5.0 + math.sin(0.01 * k), math.cos(0.02 * k)
+            (one, v), (other, same) = (cascade.step(law, each, force, (-5.0,)) for each in (one, other))
+            if k == 1000:
+                assert (abs(v - same) > 1e-6) == (Ky < 0.1)
+            one, other = one._replace(v=applied), other._replace(v=applied)
+        assert abs(v - same) < 1e-11
+
+
+def test_a_recording_of_whose_law_nothing_can_be_judged_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(verb, "find_spec", lambda name: None)
+    controller = tmp_path / "controller.npz"
+    controller.write_bytes(to_bytes(made.arm_artifact()))
+    write(tmp_path / "flight.npz", controller, fly(load(controller), contact=(100, 1500), seconds=1.0))
+    with pytest.raises(InputError, match=r"No sample of the law could be judged.*--recorded"):
+        replay(tmp_path / "flight.npz", "--artifact", controller)
+
+
+@pytest.mark.parametrize(
+    ("signal", "value", "text"),
+    [
+        ("qd", np.nan, "qd is no number somewhere in contact"),
+        ("force_ref", np.nan, "force_ref is no number"),
+        ("applied", np.nan, "applied is no number"),
+        ("force_ref", np.inf, "force_ref is beyond"),
+        ("applied", -np.inf, "applied is beyond"),
+        ("force", np.inf, "force is beyond"),
+    ],
+)
+def test_inputs_after_which_nothing_could_be_compared_are_refused(flight, signal, value, text):
+    """They would make everything after them no number, and the same for want of a difference."""
+    recording, artifact = read(flight / "flight.npz"), load(flight / "controller.npz")
+    damaged = recording.signals[signal].copy()
+    damaged[700, 1] = value
+    with pytest.raises(RecordingError, match=text):
+        inputs_of(
+            replace(recording, signals=recording.signals | {signal: damaged}), artifact, recording.header["artifact"]
+        )
+
+
+def test_what_is_computed_to_be_no_number_is_a_difference(flight):
+    recording, artifact = read(flight / "flight.npz"), load(flight / "controller.npz")
+    inputs = inputs_of(recording, artifact, recording.header["artifact"])
+    computed = recording.signals["v"].copy()
+    computed[800:] = np.nan
+    (row,) = compare(recording, inputs, {"v": computed})
+    assert (row.parts, row.samples, row.first, row.by) == (True, 1000, pytest.approx(0.8), np.inf)
+    both = replace(recording, signals=recording.signals | {"v": computed})
+    assert not compare(both, inputs, {"v": computed})[0].parts
 
 
 def test_a_schedule_whose_contact_is_not_in_the_recording_is_refused(tmp_path):
