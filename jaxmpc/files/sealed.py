@@ -22,6 +22,8 @@ LARGEST = 64 * 2**20
 
 LARGEST_CONTENTS = 2**20
 """Largest table of contents of its zip archive [bytes]; a file of ours has a dozen entries of 60."""
+DEEPEST = 64
+"""Deepest nesting of a header's lists and tables [-]; a family's has seven."""
 _NAME = re.compile(r"(?!.*\.\.)\w[\w.\[\]() -]*(/\w[\w.\[\]() -]*)*\.npy", re.ASCII)
 _KINDS = "biufcSU"
 _END = struct.Struct("<4s4H2LH")
@@ -137,7 +139,20 @@ def _header(text: np.ndarray) -> Any:
     """The header's table; a key that stands twice in it, or a number that is none, is refused."""
     if text.dtype != np.uint8 or text.ndim != 1:
         raise SealError("its header is no text")
-    return json.loads(text.tobytes().decode(), object_pairs_hook=_once, parse_constant=_refused)
+    header = json.loads(text.tobytes().decode(), object_pairs_hook=_once, parse_constant=_refused)
+    _check_depth(header)
+    return header
+
+
+def _check_depth(header: Any) -> None:
+    """Refuse what whoever reads a header part by part could not go down into."""
+    level = [header]
+    for _ in range(DEEPEST):
+        tables = [each.values() if isinstance(each, dict) else each for each in level if isinstance(each, dict | list)]
+        level = [each for table in tables for each in table]
+        if not level:
+            return
+    raise SealError(f"its header is nested more than {DEEPEST} deep")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Files that are sealed and yet no controller's: archives that would fill a memory, run code, or name what none has."""
 
 import io
+import json
 import os
 import pickle
 import time
@@ -162,6 +163,20 @@ def with_header(data, change):
     return with_entries(data, ("header.npy", header), without=("header.npy",))
 
 
+def nested_lists(text):
+    return text.replace('"provenance":{', f'"provenance":{{"more":{"[" * 900}{"]" * 900},')
+
+
+def nested_families(text):
+    """A schedule whose knots have a schedule, and so on: each part by itself is as it must be."""
+    header = json.loads(text)
+    gains = "0"
+    for _ in range(200):
+        knots = json.dumps([{"log_stiffness": 6.0, "K2": 10.0, "gains": "@"}]).replace('"@"', gains)
+        gains = json.dumps(header["gains"])[:-1] + f', "schedule": {{"knots": {knots}}}}}'
+    return json.dumps(header | {"gains": "@"}).replace('"@"', gains)
+
+
 V = "golden_v.npy"
 
 
@@ -196,6 +211,8 @@ V = "golden_v.npy"
         (lambda d: with_header(d, lambda t: t.replace('"version":2', '"version":2.0')), "schema version 2.0"),
         (lambda d: with_header(d, lambda t: t.replace('"K2":', '"K2":NaN,"K":')), "holds NaN"),
         (lambda d: with_header(d, lambda t: t.replace('"K2":', '"more":1,"K2":')), "the key 'more', which no"),
+        (lambda d: with_header(d, nested_lists), "nested more than 64 deep"),
+        (lambda d: with_header(d, nested_families), "nested more than 64 deep"),
         (lambda d: with_header(d, lambda t: t.replace('"arm":', '"legs":') if '"arm":' in t else "[]"), "header"),
     ],
 )
