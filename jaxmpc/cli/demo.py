@@ -205,8 +205,9 @@ def _picture(folder: Path, arm: Arm, flight: "TwinFlight") -> None:
 
 def _replay(folder: Path, artifact: "Artifact") -> "list[Difference]":
     """The recorded inputs once more through the runtime, and each signal beside the recorded one."""
+    from deploy.flight.inputs import inputs_of
     from deploy.flight.recorder import read
-    from deploy.flight.replay import compare, inputs_of, through_runtime
+    from deploy.flight.replay import compare, through_runtime
 
     recording = read(folder / "flight.npz")
     inputs = inputs_of(recording, artifact, recording.header["artifact"])

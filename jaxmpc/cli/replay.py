@@ -35,8 +35,9 @@ def run(args: argparse.Namespace) -> int:
     """
     from deploy.controller.file import ArtifactError, load
     from deploy.controller.runtimes import flown_controller
+    from deploy.flight.inputs import LAW, inputs_of
     from deploy.flight.recorder import RecordingError, read
-    from deploy.flight.replay import LAW, compare, inputs_of, table, through_runtime
+    from deploy.flight.replay import compare, table, through_runtime
     from jaxmpc.files.outputs import check_file
 
     check_file("--report", args.report, ".html")

@@ -14,8 +14,9 @@ import pytest
 from deploy.controller.file import load, to_bytes
 from deploy.controller.runtimes import arm_runtime
 from deploy.flight.forgetting import SETTLING, observers_forget
+from deploy.flight.inputs import KNOWN, inputs_of
 from deploy.flight.recorder import COLUMNS, FlightRecorder, RecordingError, read
-from deploy.flight.replay import KNOWN, compare, inputs_of, through_runtime
+from deploy.flight.replay import compare, through_runtime
 from jaxmpc.cli import replay as verb
 from jaxmpc.cli.flight_report import _states
 from jaxmpc.files.errors import InputError
@@ -377,6 +378,11 @@ def test_wrong_files_are_refused(flight, tmp_path):
         ({"T_s": 2e-3}, COLUMNS, "every 0.002 s"),
         ({"names": None}, COLUMNS, "does not name the states"),
         ({"names": {"state": ["idle"]}}, COLUMNS, "does not name the states"),
+        ({"names": {"state": ["idle", "contact", ["armed"]]}}, COLUMNS, "does not name the states"),
+        ({"names": {"state": ["idle", "contact", r"$\frac{$"]}}, COLUMNS, "does not name the states"),
+        ({"names": {"state": ["idle", "contact", "a" * 41]}}, COLUMNS, "does not name the states"),
+        ({}, {name: width for name, width in COLUMNS.items() if name != "torque"}, "lacks the signal torque"),
+        ({}, {name: width for name, width in COLUMNS.items() if name != "clamped"}, "lacks the signal clamped"),
         ({}, {name: width for name, width in COLUMNS.items() if name != "applied"}, "lacks the signal applied"),
     ],
 )
@@ -397,6 +403,8 @@ def test_recordings_that_lack_something_are_refused(flight, tmp_path, header, co
         ("force", 1e308, "force is beyond"),
         ("q", -1e200, "q is beyond"),
         ("deflection", 1e200, "deflection is beyond"),
+        ("torque", 1e308, "torque is beyond"),
+        ("stiffness", -1e308, "stiffness is beyond"),
     ],
 )
 def test_numbers_that_are_none_of_a_flight_are_refused(flight, tmp_path, signal, value, text):
