@@ -10,7 +10,18 @@ from itertools import pairwise
 from typing import Any
 
 from jaxmpc.files.errors import InputError, nearest
-from jaxmpc.law.reference import DEFAULT, FASTEST, KINDS, LARGEST, LONGEST, Piece, force_of, piece_at, place
+from jaxmpc.law.reference import (
+    DEFAULT,
+    FASTEST,
+    KINDS,
+    LARGEST,
+    LONGEST,
+    Piece,
+    force_of,
+    never_reached,
+    piece_at,
+    place,
+)
 from jaxmpc.law.vectors import Vector3
 
 WORDS = "X,Y,Z@RATE, hold@SECONDS or sweep@X,Y,Z@HZ@HZ@SECONDS"
@@ -55,7 +66,10 @@ def from_words(text: str, *, rate: float, largest: float, start: Vector3 = (0.0,
     """
     axes: list[list[Piece]] = [[], [], []]
     begin, force = 0.0, start
-    for word in text.split():
+    words = text.split()
+    if not words:
+        raise InputError("reference", text, f"segments: {WORDS}", "For example 0,0,-5@2 hold@5.")
+    for word in words:
         target, *numbers = word.removeprefix("sweep@").split("@")
         vector, values = _numbers(target.split(",")), _numbers(numbers)
         if word.startswith("sweep@") and len(vector) == len(values) == 3 and min(values) > 0.0:
@@ -145,6 +159,9 @@ def _axis(key: str, axis: Any) -> Any:
     if isinstance(axis, list | tuple):
         for i, segment in enumerate(axis):
             _check_segment(f"{key}[{i}]", segment)
+        if (lost := never_reached(axis)) is not None:
+            remedy = f"Say how long {key}[{lost - 1}] holds, or leave out what follows."
+            raise InputError(f"{key}[{lost - 1}].duration", "missing", "given [s] before another segment", remedy)
         return axis
     _within(key, axis, -LARGEST, LARGEST)
     return axis

@@ -5,7 +5,9 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from jaxmpc.law.reference import DEFAULT, FASTEST, LARGEST, LONGEST, Piece, force_at, on_ramp, place
+from jaxmpc.files.errors import InputError
+from jaxmpc.files.toml import told_by_type
+from jaxmpc.law.reference import DEFAULT, FASTEST, LARGEST, LONGEST, Piece, force_at, never_reached, on_ramp, place
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=LONGEST)]
 Newton = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
@@ -45,6 +47,20 @@ class Reference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     z: Newton | tuple[Segment, ...] = DEFAULT["z"]
     preview: bool = False
     """Whether the controller knows the reference along H_p; the paper's does not."""
+
+    def __post_init__(self) -> None:
+        with told_by_type(self, "reference"):
+            for key in DEFAULT:
+                _check_all_reached(key, getattr(self, key))
+
+
+def _check_all_reached(key: str, axis: float | tuple[Segment, ...]) -> None:
+    """Refuse segments that never come, since a hold before them has no end."""
+    lost = never_reached(msgspec.to_builtins(axis)) if isinstance(axis, tuple) else None
+    if lost is not None:
+        name = f"reference.{key}[{lost - 1}]"
+        remedy = f"Say how long {name} holds, or leave out what follows."
+        raise InputError(f"{name}.duration", "missing", "given [s] before another segment", remedy)
 
 
 def placed(axis: float | tuple[Segment, ...]) -> tuple[Piece, ...]:

@@ -106,6 +106,12 @@ def place(axis: float | Sequence[Segment]) -> tuple[Piece, ...]:
     return (*pieces, Piece(begin, level))
 
 
+def never_reached(axis: Sequence[Segment]) -> int | None:
+    """Place of the first segment behind a hold that lasts to the end; None where every segment is flown."""
+    endless = next((i for i, each in enumerate(axis) if each["kind"] == "hold" and each.get("duration") is None), None)
+    return None if endless is None or endless + 1 == len(axis) else endless + 1
+
+
 def force_of(piece: Piece, t: Scalar, ops: Any) -> Scalar:
     """F(t) of one piece [N]; `ops` has `sin`."""
     since = t - piece.begin

@@ -151,6 +151,12 @@ def test_the_robot_knows_the_segments_of_the_experiments_and_their_bounds():
     assert right > 30
 
 
+def test_words_that_are_none_ask_for_no_force():
+    for text in ("ramps:", "ramps: \t"):
+        with pytest.raises(InputError, match=r"For example 0,0,-5@2 hold@5"):
+            from_text(text)
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
@@ -168,6 +174,10 @@ def test_the_robot_knows_the_segments_of_the_experiments_and_their_bounds():
             "at most 5 N/s fast",
         ),
         ("[reference]\nx = 8\ny = -7", "at most 10 N"),
+        (
+            '[reference]\nz = [{kind = "hold"}, {kind = "ramp", to = -5, rate = 2}]',
+            r"reference.z\[0\].duration = missing: must be given \[s\] before another segment",
+        ),
         ("[reference", "TOML"),
     ],
 )

@@ -76,3 +76,13 @@ def test_signals_that_are_kept_for_the_next_run_cannot_be_written_to() -> None:
         with pytest.raises(ValueError, match="read-only"):
             array *= 2
     assert np.array_equal(evaluate(Params(), experiment).metrics.rms, first)
+
+
+def test_segments_behind_a_hold_without_an_end_are_refused() -> None:
+    """They would never come: 0 N would be simulated and flown, whatever is wanted after a hold without `duration`."""
+    ramp = {"kind": "ramp", "to": -5.0, "rate": 2.0}
+    axis = [{"kind": "hold", "duration": 1.0}, {"kind": "hold"}]
+    for wrong in ([*axis, ramp], [ramp, *axis, *axis]):
+        with pytest.raises(InputError, match=r"^reference\.y\[\d\]\.duration = missing: must be given \[s\] before"):
+            Experiment.from_dict({"reference": {"y": wrong}})
+    assert len(Experiment.from_dict({"reference": {"y": [ramp, *axis]}}).reference.y) == 3
