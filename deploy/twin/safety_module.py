@@ -50,7 +50,7 @@ class SafetyModule(Device):
         self._angles: tuple[float, tuple[float, ...]] | None = None
         self._speeds: deque[float] = deque([0.0] * HISTORY, HISTORY)
         self._torque_at = self._position_at = -math.inf
-        self._too_fast_since: float | None = None
+        self._idled: float | None = None  # when it made the arm idle, until it has looked again
 
     @property
     def mode(self) -> int:
@@ -121,10 +121,10 @@ class SafetyModule(Device):
             self._button = "none"
         if self.mode == ACTIVE and now - min(self._torque_at, self._position_at) > self._heartbeat:
             self._fault("heartbeat", now)
-        since = self._too_fast_since
-        if since is not None and now - since >= STILL_TOO_FAST_S:
-            self._too_fast_since = None
-            if self._speed() > self.values[self.number["VL2"]] / 4096.0:
+        if self._idled is not None and now - self._idled >= STILL_TOO_FAST_S:
+            self._idled = None
+            fault = self.values[self.number["VL2"]] / 4096.0
+            if fault and self._speed() > fault:
                 self._go(ESTOP, now)
 
     def _judge(self, angles: tuple[float, ...], now: float) -> None:
@@ -140,7 +140,6 @@ class SafetyModule(Device):
         self._speeds.append(elbow + BEYOND * abs(v[3]) if homed else max(map(abs, v)))
         warning, fault = (self.values[self.number[name]] / 4096.0 for name in ("VL1", "VL2"))
         if fault and self._speed() > fault and self.mode == ACTIVE:
-            self._too_fast_since = now
             self._fault("velocity", now)
         elif self._words["velocity"] != FAULT:
             self._words["velocity"] = WARNING if self._speed() > warning else SAFE
@@ -151,6 +150,7 @@ class SafetyModule(Device):
     def _fault(self, word: str, now: float) -> None:
         self._words[word] = FAULT
         if self.mode == ACTIVE:
+            self._idled = now
             self._go(IDLE, now)
 
     def _go(self, mode: int, now: float) -> None:

@@ -91,6 +91,17 @@ def test_an_arm_that_goes_on_moving_loses_its_power():
     assert value(twin, 10, SAFETY["MODE"]) == 0
 
 
+def test_so_it_does_after_too_much_torque():
+    """What was wrong first does not matter: the arm moves too fast half a second after it was made idle."""
+    for began, limit, mode in ((0.3, 4096, 0), (1.0, 4096, 1), (0.3, 0, 1)):
+        twin = active(faults=(f"J4:garbage@{began}+0.6",))
+        twin.receive(codec.set_value(10, SAFETY["VL2"], limit))
+        wait(twin, 0.1, (0, 0, -5300, 0))
+        assert pendant(twin).faults == ("torque",)
+        wait(twin, 0.8, (0, 0, 0, 0))
+        assert value(twin, 10, SAFETY["MODE"]) == mode
+
+
 def test_limits_come_back_from_memory():
     twin = Twin()
     twin.receive(codec.set_value(10, SAFETY["VL2"], 100))
