@@ -55,8 +55,8 @@ ROBOT: Mapping[str, tuple[int, str]] = {
 }
 """Signals that only a robot has: `gain_memory` is the ceiling of `gain` and where it was lately; `deflection`, which
 older recordings lack, that of the bristles of the friction that is cancelled, zero without; `wanted` is the law's
-torque, `applied` what the clamps left of it and the observers were told; `state`, `reason` and `clamped` are the
-numbers that the header's `names` spell out."""
+torque, `applied` what the clamps left of it and the observers were told; `position_age` is that of each motor's last
+believed position; `state`, `reason` and `clamped` are the numbers that the header's `names` spell out."""
 COLUMNS = {**SIMULATED, **ROBOT}
 ROOM = 2**16
 """For a file's header and table of contents [bytes]; they take some 10 000."""

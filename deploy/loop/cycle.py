@@ -129,6 +129,11 @@ class Cycle:
         self._q = pucks.angles(arm.counts)
         controller.runtime.start(self._q)
 
+    @property
+    def position_age(self) -> tuple[int, ...]:
+        """Age of each motor's last believed position (4,) [cycles]; one that was refused has not come."""
+        return tuple(self._age)
+
     def step(self, reading: Reading, timing: CycleTiming, command: OperatorCommand) -> CycleResult:
         """Decide the frame of a cycle.
 

@@ -246,7 +246,7 @@ class Loop:
             REASONS.index(result.safety_state.reason),
             float(sum(1 << i for i, acted in enumerate(result.clamp) if acted)),
             *arm.counts,
-            *reading.position_age,
+            *self._cycle.position_age,
             reading.force_age,
             1e-9 * lateness,
             1e-9 * compute,

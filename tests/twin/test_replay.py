@@ -15,8 +15,11 @@ from deploy.controller.file import load, to_bytes
 from deploy.controller.runtimes import arm_runtime
 from deploy.flight.forgetting import SETTLING, observers_forget
 from deploy.flight.inputs import KNOWN, inputs_of
-from deploy.flight.recorder import COLUMNS, FlightRecorder, RecordingError, read
+from deploy.flight.recorder import COLUMNS, FlightRecorder, FlightRecording, RecordingError, read
 from deploy.flight.replay import compare, through_runtime
+from deploy.loop.loop import STATES
+from deploy.safety.machine import BRIDGED
+from deploy.safety.reasons import Reason
 from jaxmpc.cli import replay as verb
 from jaxmpc.cli.flight_report import _states
 from jaxmpc.files.errors import InputError
@@ -27,6 +30,7 @@ from jaxmpc.law.reference import told
 from jaxmpc.pictures import recording_figure
 from jaxmpc.pictures.figures import figure
 from tests.deploy import made
+from tests.twin import flying
 
 NAMES = {"state": ["idle", "armed", "approach", "contact", "retract", "stopped", "fault"]}
 IDLE, APPROACH, CONTACT, RETRACT = 0, 2, 3, 4
@@ -137,6 +141,17 @@ def replayed(artifact, recorder, folder):
     recording = read(folder / "flight.npz")
     inputs = inputs_of(recording, artifact, "")
     return {row.signal: row for row in compare(recording, inputs, through_runtime(inputs, artifact))}
+
+
+def test_positions_that_came_and_were_refused_are_no_difference():
+    """An encoder leaps farther than a motor turns: nothing is computed from what it reads from then on."""
+    artifact = made.arm_artifact()
+    flight = flying.fly(artifact, "J4:wrong=150@0.6", seconds=0.1)
+    assert Reason.ENCODER_JUMP in {state.reason for state in flight.safety_states}
+    recording = FlightRecording({"artifact": "", "T_s": made.T_S, "names": {"state": list(STATES)}}, flight.signals())
+    assert recording.signals["position_age"][:, 3].max() > BRIDGED
+    inputs = inputs_of(recording, artifact, "")
+    assert not [row for row in compare(recording, inputs, through_runtime(inputs, artifact)) if row.parts]
 
 
 def test_cycles_that_were_missed_are_no_difference(tmp_path):
