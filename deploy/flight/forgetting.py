@@ -51,6 +51,12 @@ def observers_forget(artifact: Artifact) -> float:
     return max(times)
 
 
+def guard_forgets(artifact: Artifact) -> float:
+    """Time after which a guard's share of a lasting swing has forgotten a wrong beginning [s]; 0 without a guard."""
+    guard = artifact.gains.guard
+    return 0.0 if guard is None else FORGOTTEN * artifact.T_s / guard.patience
+
+
 def _filled(state: cascade.AxisState, numbers: Iterator[float]) -> cascade.AxisState:
     """The same with other numbers."""
     found: cascade.AxisState = map_leaves(lambda _: next(numbers), state)

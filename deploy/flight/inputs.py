@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from deploy.controller.artifact import Artifact
-from deploy.flight.forgetting import FILTER, observers_forget, velocity_forgets
+from deploy.flight.forgetting import FILTER, guard_forgets, observers_forget, velocity_forgets
 from deploy.flight.recorder import COLUMNS, FlightRecording, RecordingError
 from jaxmpc.law.recorded import RecordedInputs
 
@@ -99,6 +99,8 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
             )
             raise RecordingError(f"{lacks}: fly with a longer recorder, `jaxmpc run --recorded S`")
         judged &= seen >= observers_forget(artifact)
+        if guarded and "swing_share" not in signals:
+            judged &= time > time[0] + guard_forgets(artifact)
     force_ref = signals["force_ref"]
     if artifact.preview:
         force_ref, whole = _windows(force_ref, contact, 1 + len(artifact.gains.mpc_ref))
@@ -114,9 +116,10 @@ def inputs_of(recording: FlightRecording, artifact: Artifact, sha256: str) -> Re
     servo = np.isin(number, [i for i, name in enumerate(states) if name in SERVO]) & np.all(
         np.isfinite(signals["a"]), axis=1
     )
-    memory = np.full((len(time), 3), np.nan)
+    memory = np.full((len(time), 4), np.nan)
     if guarded:
-        memory = np.concatenate([gain, signals["gain_memory"]], axis=1)
+        memory[:, :3] = np.concatenate([gain, signals["gain_memory"]], axis=1)
+        memory[:, 3:] = signals.get("swing_share", np.nan)
     deflection = np.full((len(time), 4), np.nan)
     if artifact.arm is not None and artifact.arm.compensated and "deflection" in signals:
         deflection[0] = signals["deflection"][0]  # how it came about was before

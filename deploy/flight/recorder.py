@@ -42,6 +42,7 @@ ROBOT: Mapping[str, tuple[int, str]] = {
     "qd": (4, "rad/s"),
     "gain_memory": (2, "-"),
     "deflection": (4, "-"),
+    "swing_share": (1, "-"),
     "wanted": (4, "N m"),
     "applied": (4, "N m"),
     "state": (1, ""),
@@ -53,10 +54,11 @@ ROBOT: Mapping[str, tuple[int, str]] = {
     "lateness": (1, "s"),
     "compute": (1, "s"),
 }
-"""Signals that only a robot has: `gain_memory` is the ceiling of `gain` and where it was lately; `deflection`, which
-older recordings lack, that of the bristles of the friction that is cancelled, zero without; `wanted` is the law's
-torque, `applied` what the clamps left of it and the observers were told; `position_age` is that of each motor's last
-believed position; `state`, `reason` and `clamped` are the numbers that the header's `names` spell out."""
+"""Signals that only a robot has: `gain_memory` is the ceiling of `gain` and where it was lately; `deflection` that of
+the bristles of the friction that is cancelled and `swing_share` what a guard takes for a lasting swing, zero without,
+which older recordings lack; `wanted` is the law's torque, `applied` what the clamps left of it and the observers were
+told; `position_age` is that of each motor's last believed position; `state`, `reason` and `clamped` are the numbers
+that the header's `names` spell out."""
 COLUMNS = {**SIMULATED, **ROBOT}
 ROOM = 2**16
 """For a file's header and table of contents [bytes]; they take some 10 000."""

@@ -68,9 +68,11 @@ def through_runtime(inputs: RecordedInputs, artifact: Artifact) -> dict[str, np.
             for name in ("p_hat", "u", "gain", *KNOWN):
                 found[name][k] = getattr(runtime, name)
             runtime.applied(applied)
-            if np.all(np.isfinite(inputs.memory[k])):
-                g, ceiling, lately = inputs.memory[k].tolist()
+            g, ceiling, lately, share = inputs.memory[k].tolist()
+            if math.isfinite(g + ceiling + lately):
                 runtime.memory = g, ceiling, lately
+            if math.isfinite(share):
+                runtime.swing_share = share
         elif inputs.servo[k]:
             a = tuple(inputs.a[k].tolist())
             found["wanted"][k] = runtime.servo(angles, qd, a, force or (0.0, 0.0, 0.0))

@@ -240,6 +240,7 @@ class Loop:
             *result.qd,
             *runtime.memory[1:],
             *runtime.deflection,
+            runtime.swing_share,
             *result.wanted,
             *result.applied,
             STATES.index(result.safety_state.state),

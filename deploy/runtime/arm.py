@@ -86,6 +86,7 @@ class ArmRuntime:
         self._p_hat, self._u = of_each(where.axes, "p_hat"), of_each(where.axes, "u")
         self._believed, self._authority = of_each(tissues, "log_stiffness"), of_each(tissues, "authority")
         self._sines = [itemgetter(*flat((t.listening, t.heard, t.force[-1], t.tip[-1]))) for t in tissues]
+        self._share = None if where.guard is None else where.guard.share
         self._backed_off = None if where.guard is None else slice(where.guard.memory[0], where.guard.memory[-1] + 1)
 
     def velocity(self, q: Vector4) -> Vector4:
@@ -221,3 +222,14 @@ class ArmRuntime:
         if self._backed_off is not None:
             before, after = self._memory[: self._backed_off.start], self._memory[self._backed_off.stop :]
             self._held[0] = (*before, *memory, *after)
+
+    @property
+    def swing_share(self) -> float:
+        """Share of the force's error that a guard takes for a lasting swing [-]; 0 without one."""
+        return 0.0 if self._share is None else self._memory[self._share]
+
+    @swing_share.setter
+    def swing_share(self, share: float) -> None:
+        """As `memory`."""
+        if self._share is not None:
+            self._held[0] = (*self._memory[: self._share], share, *self._memory[self._share + 1 :])

@@ -49,9 +49,11 @@ def replay_law(controller: Controller, compensated: bool, flown: RecordedInputs)
             "wanted": command.torque.torque,
         }
         if following.guard is not None:
-            known = jnp.all(jnp.isfinite(now["memory"]))
-            memory = _chosen(known, BackoffMemory(*now["memory"]), following.guard.memory)
-            following = following._replace(guard=following.guard._replace(memory=memory))
+            *kept, share = now["memory"]
+            known = jnp.all(jnp.isfinite(jnp.stack(kept)))
+            memory = _chosen(known, BackoffMemory(*kept), following.guard.memory)
+            share = jnp.where(jnp.isfinite(share), share, following.guard.share)
+            following = following._replace(guard=following.guard._replace(memory=memory, share=share))
         if state.bristles is not None:
             moved, _ = friction_compensation.step(controller.nominal.friction, state.bristles, q, qd, ops)
             state = state._replace(bristles=_chosen(now["servo"], moved, state.bristles))

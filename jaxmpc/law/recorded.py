@@ -27,8 +27,8 @@ class RecordedInputs(NamedTuple):
     servo: Any
     """Whether the servo was, which only moves the friction's bristles (n,)."""
     memory: Any
-    """What a guard remembered after the sample, gain first, where it is taken from the recording, NaN where it is found
-    (n, 3) [-]."""
+    """What a guard remembered after the sample, gain first, and its share of a lasting swing, where they are taken from
+    the recording, NaN where they are found (n, 4) [-]."""
     deflection: Any
     """Deflection of the friction's bristles after the sample, where it is taken from the recording, NaN where it is
     found (n, 4) [-]."""

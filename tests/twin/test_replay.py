@@ -73,7 +73,7 @@ def fly(artifact, samples=1500, contact=(300, 1300), seconds=10.0, change=None, 
             wanted = applied = runtime.servo(q, qd, (0.1, 0.0, -0.2), force)
         row = (1e-3 * k, *(given or NAN), *first, *runtime.u, *runtime.last_v, *runtime.last_a, *runtime.p_hat)
         row += (runtime.gain, *runtime.stiffness, *runtime.authority, *runtime.dither)
-        row += (*runtime.tip(q), *q, *applied, *qd, *runtime.memory[1:], *runtime.deflection)
+        row += (*runtime.tip(q), *q, *applied, *qd, *runtime.memory[1:], *runtime.deflection, runtime.swing_share)
         row += (*wanted, *applied, state, *(0,) * 13)
         recorder.append(row)
     return recorder
@@ -220,6 +220,22 @@ def test_a_recording_that_begins_in_contact_is_judged_once_a_slow_observer_has_f
     rows = replayed(artifact, fly(artifact, samples=3200, contact=(100, 3200), seconds=3.0), tmp_path)
     assert not any(row.parts for row in rows.values())
     assert (rows["v"].samples > 0) == judged
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_lasting_swing_that_began_before_the_recording_is_no_difference(monkeypatch, told):
+    """Its share is forgotten within seconds only; recordings from before it was told are judged as late as that."""
+    artifact = made.arm_artifact(gains=made.guarded_gains())
+    monkeypatch.setattr(made, "SWING", 0.04)
+    monkeypatch.setattr(made, "SWINGING", 3000)
+    flown = fly(artifact, samples=3000, contact=(100, 3000), seconds=2.4).signals()
+    recording = FlightRecording({"artifact": "", "T_s": made.T_S, "names": NAMES}, flown)
+    assert recording.signals["swing_share"][0] > 0.2
+    signals = {name: rows for name, rows in recording.signals.items() if told or name != "swing_share"}
+    inputs = inputs_of(replace(recording, signals=signals), artifact, "")
+    rows = {row.signal: row for row in compare(recording, inputs, through_runtime(inputs, artifact))}
+    assert not any(row.parts for row in rows.values())
+    assert (rows["gain"].samples > 0) == told
 
 
 def test_observers_forget_a_wrong_beginning_within_the_time_that_a_replay_leaves_out():
