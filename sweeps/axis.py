@@ -47,6 +47,11 @@ class SweepAxis(msgspec.Struct, frozen=True):
         """Whether its column holds its values, not places among them."""
         return self.scale != "choice"
 
+    @property
+    def ranged(self) -> bool:
+        """Whether numbers between its values are values, too."""
+        return self.scale in ("linear", "log")
+
     def label(self, value: float) -> str:
         """An entry of its column, for people."""
         if self.numeric:

@@ -1,7 +1,10 @@
 """What a sweep may vary and rank by: something that its runs depend on, and that they measure."""
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
+from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.tissue import LAWS
@@ -11,6 +14,66 @@ from sweeps.targets import OWN_FILTERS
 
 DAMPING_FILTERS = ("velocity_lowpass", "velocity_cutoff")
 """What only damping by a sampled velocity passes through."""
+
+
+class Need(NamedTuple):
+    """What must be so somewhere for a key of the experiment to have an effect."""
+
+    key: str
+    """That decides; where it is swept too, it may be so."""
+    holds: Callable[[Experiment], bool]
+    where: str
+    """In words, after "swept where"."""
+    remedy: str
+
+
+_MOVING = Need("motion.kind", lambda each: each.motion.kind != "none", "the heart moves", "Set motion.kind.")
+_PHASED = Need(
+    "motion.kind",
+    lambda each: each.motion.kind in ("harmonics", "rhythm"),
+    "the heart's motion has phases",
+    'Set motion.kind = "harmonics" or "rhythm".',
+)
+_RECORDED = Need(
+    "motion.kind",
+    lambda each: each.motion.kind == "recording",
+    "a recording is played",
+    'Set motion.kind = "recording".',
+)
+_COMPENSATED = Need(
+    "arm.compensation",
+    lambda each: each.arm.compensation != 0.0,
+    "friction is compensated by what is believed of it",
+    "Set arm.compensation.",
+)
+_CABLED = Need("arm.cable_hz", lambda each: each.arm.cable_hz != 0.0, "cables have a mode", "Set arm.cable_hz.")
+NEEDS: Mapping[str, Need] = MappingProxyType(
+    {
+        **dict.fromkeys(("motion.scale", "motion.start", "motion.fade"), _MOVING),
+        "motion.phases": _PHASED,
+        **dict.fromkeys(("motion.file", "motion.unit", "motion.repeat"), _RECORDED),
+        **dict.fromkeys(("arm.nominal_coulomb", "arm.nominal_viscous", "arm.nominal_presliding"), _COMPENSATED),
+        "arm.cable_damping": _CABLED,
+    }
+)
+"""By key; of a vector for each of its entries."""
+IDLE: Mapping[str, frozenset[str]] = MappingProxyType(
+    {"aob": frozenset({"lam", "delta", "Hp", "Hu"}), "mpc": frozenset({"T_cl"})}
+)
+"""Parameters that an architecture leaves without effect."""
+
+
+def check_controller(space: SweepSpace, params: Params) -> None:
+    """Refuse a parameter of the controller that the architecture of every row leaves without effect.
+
+    Raises:
+        InputError: Such a parameter is swept.
+    """
+    swept = {axis.name for axis in space.axes}
+    idle = IDLE.get(params.architecture, frozenset()) if "architecture" not in swept else frozenset()
+    if name := next((name for name in sorted(swept) if name in idle), None):
+        remedy = f"Leave it out, or take another architecture than {params.architecture}."
+        raise _idle(name, "where the controller has the part that it is of", remedy)
 
 
 def check_filters(space: SweepSpace, params: Params) -> None:
@@ -47,6 +110,13 @@ def check_effect(spec: Any) -> None:
         if linear and name.startswith(("arm.", "tissue.")):
             raise _idle(name, "where runs are on the arm: the linear loop has none", 'Set experiment.physics = "wam".')
         constant = name.removeprefix("tissue.").partition(".")[0] if name.startswith("tissue.") else None
+        if linear and name == "guarded":
+            raise _idle(
+                name, "where runs are on the arm: the linear loop has no guard", 'Set experiment.physics = "wam".'
+            )
+        need = NEEDS.get(".".join(name.split(".")[:2]))
+        if need is not None and need.key not in swept and not any(map(need.holds, met)):
+            raise _idle(name, f"where {need.where}", need.remedy)
         laws = [law.name for law in LAWS.values() if constant in [each.name for each in law.parameters]]
         if laws and "tissue.kind" not in swept and not any(each.tissue.kind in laws for each in met):
             remedy = f'Set experiment.tissue.kind = "{laws[0]}".'

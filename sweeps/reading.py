@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from sweeps.axis import Scale, SweepAxis, choice_only, make_axis
 from sweeps.rows import meetings, world_of
 from sweeps.space import Factor, SpaceKind, SweepSpace, make_space
 from sweeps.tables import RANGE_KEYS, Ends, Range, SweepTable
-from sweeps.targets import RECORDING, TABLES, read, target
+from sweeps.targets import RECORDING, TABLES, numbered, read, target
 
 STIFFNESS_SETS: Mapping[str, tuple[float, ...]] = MappingProxyType(
     {"paper": (375.0, 810.0, 1900.0), "family": (375.0, 550.0, 810.0, 1250.0, 1900.0)}
@@ -76,10 +76,9 @@ def read_space(table: SweepTable, params: Params, experiment: Experiment, folder
             raise InputError("sweep.zip", ", ".join(point), "free of repetition", "Each row of a sweep exists once.")
         factors.append(axes)
     _check_bases(factors, params, experiment)
+    check_worlds(factors, experiment)
     for each in [*([factor] for factor in factors), factors]:
-        _check_worlds(each, experiment.to_dict())
         _check_controllers(each, params)
-    _check_scores(factors, experiment.to_dict())
     horizons = (float(params.Hp), float(params.Hu))
     return make_space(table.kind, tuple(factors), table.rows or 0, table.seed or 0, horizons)
 
@@ -101,10 +100,15 @@ def flattened(axes: Mapping[str, Any], root: str = "") -> Iterator[tuple[str, An
         # None of these is an axis itself, and motion has a key that a range has, too: its seed.
         if isinstance(described, dict) and f"{root}{name}" in TABLES:
             yield from flattened(described, f"{root}{name}.")
-        elif isinstance(described, dict) and described and root and not set(described) & RANGE_KEYS:
+        elif isinstance(described, dict) and _of_entries(described, nested=bool(root)):
             yield from flattened(described, f"{root}{name}.")
         else:
             yield f"{root}{name}", described
+
+
+def _of_entries(described: Mapping[str, Any], *, nested: bool) -> bool:
+    """Whether a table is no range but has axes of its own: `stiffness.1` is an entry of a key outside the tables."""
+    return bool(described) and (all(map(numbered, described)) or (nested and not set(described) & RANGE_KEYS))
 
 
 def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any], *, repeats: bool = False) -> SweepAxis:
@@ -121,6 +125,9 @@ def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any], *
     if given.relative and (choice_only(name) or name in HORIZONS):
         why = "It counts samples: list them." if name in HORIZONS else "It has no values in between."
         raise InputError(f"{key}.relative", True, "left out", why)
+    if given.seed is not None and given.draw is None:
+        remedy = 'Add draw = "random", or remove the seed; that of a sample stands in [sweep].'
+        raise InputError(f"{key}.seed", given.seed, "given with draw", remedy)
     if given.values is not None:
         if given.linear or given.log or given.points or given.draw:
             raise InputError(key, "values and a range", "one of the two", "Remove the range.")
@@ -138,7 +145,7 @@ def _axis(name: str, described: Any, kind: SpaceKind, sets: Mapping[str, Any], *
     if choice_only(name):
         raise InputError(key, "a range", "a list", "It has no values in between.")
     scale, ends = spaced[0]
-    return make_axis(name, scale, ends, given.points, relative=given.relative, drawn=given.draw, seed=given.seed)
+    return make_axis(name, scale, ends, given.points, relative=given.relative, drawn=given.draw, seed=given.seed or 0)
 
 
 def _listed(name: str, values: list[Any], given: Range, sets: Mapping[str, Any], repeats: bool) -> SweepAxis:
@@ -164,7 +171,9 @@ def _frozen(value: Any) -> Any:
     return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
 
 
-def _points(factors: list[Factor], wanted: Callable[[SweepAxis], bool]) -> Iterator[tuple[Factor, tuple[float, ...]]]:
+def _points(
+    factors: Sequence[Factor], wanted: Callable[[SweepAxis], bool]
+) -> Iterator[tuple[Factor, tuple[float, ...]]]:
     """Axes that are wanted, and their entries at some points of what the factors multiply to, its ends among them."""
     kept = [tuple(axis for axis in factor if wanted(axis)) for factor in factors]
     kept = [factor for factor in kept if factor]
@@ -180,15 +189,17 @@ def _points(factors: list[Factor], wanted: Callable[[SweepAxis], bool]) -> Itera
         yield tuple(axis for axis, _ in entries), tuple(entry for _, entry in entries)
 
 
-def _check_worlds(factors: list[Factor], data: Mapping[str, Any]) -> None:
-    """Refuse points of factors that make no experiment with the base."""
-    for axes, entries in _points(factors, lambda axis: axis.of_world):
-        with _told_of(axes, entries):
-            Experiment.from_dict(world_of(data, axes, entries))
+def check_worlds(factors: Sequence[Factor], experiment: Experiment) -> None:
+    """Refuse points of the space that make no experiment with the base, or one whose runs would score nothing.
 
-
-def _check_scores(factors: list[Factor], data: Mapping[str, Any]) -> None:
-    """Refuse points of the space whose runs would score nothing."""
+    Raises:
+        InputError: Names axis, value, bound and remedy.
+    """
+    data = experiment.to_dict()
+    for each in [*([factor] for factor in factors), factors]:
+        for axes, entries in _points(each, lambda axis: axis.of_world):
+            with _told_of(axes, entries):
+                Experiment.from_dict(world_of(data, axes, entries))
     if any(axis.name.startswith(LENGTHS) for factor in factors for axis in factor):
         for axes, entries in _points(factors, lambda axis: axis.of_world):
             with _told_of(axes, entries):
@@ -210,11 +221,12 @@ def _told_of(axes: Factor, entries: tuple[float, ...]) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        found = dict(zip(axes, entries, strict=True))
         key = error.key.removeprefix("params.")
-        axis = next((axis for axis in axes if key.startswith(axis.name)), axes[0])
+        # Of pairs: an axis whose values are tables has no hash.
+        found = [*zip(axes, entries, strict=True)]
+        axis, entry = next((pair for pair in found if key.startswith(pair[0].name)), found[0])
         remedy = f"It makes {error.key} = {error.value}. {error.remedy}" if axis.relative else error.remedy
-        raise InputError(f"sweep.axes.{axis.name}", axis.label(found[axis]), error.bound, remedy) from None
+        raise InputError(f"sweep.axes.{axis.name}", axis.label(entry), error.bound, remedy) from None
 
 
 def _check_bases(factors: list[Factor], params: Params, experiment: Experiment) -> None:
@@ -226,3 +238,6 @@ def _check_bases(factors: list[Factor], params: Params, experiment: Experiment) 
         if axis.relative and not all(isinstance(x, int | float) and not isinstance(x, bool) for x in numbers):
             remedy = "Give the base a number there, or leave `relative` out."
             raise InputError(f"sweep.axes.{axis.name}", base, "a number to multiply", remedy)
+        if axis.relative and not any(numbers):
+            remedy = "Times nothing is nothing in every row: give the base a number there, or leave `relative` out."
+            raise InputError(f"sweep.axes.{axis.name}", base, "a number other than 0 to multiply", remedy)

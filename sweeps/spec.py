@@ -12,9 +12,9 @@ from jaxmpc.files.errors import InputError, counted, nearest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.sampling import check_sampling
-from sweeps.effect import check_effect, check_filters
+from sweeps.effect import check_controller, check_effect, check_filters
 from sweeps.goal import MEASURED, SweepGoal, columns_kept
-from sweeps.reading import flattened, read_space, stiffness_set
+from sweeps.reading import check_worlds, flattened, read_space, stiffness_set
 from sweeps.space import SweepSpace
 from sweeps.tables import OnError, Precision, RefineTable, SweepTable
 
@@ -106,11 +106,12 @@ class SweepSpec:
         goal = SweepGoal(table.best, decide=table.decide, **limits)
         space = read_space(table, params, experiment, folder)
         check_filters(space, params)
+        check_controller(space, params)
         kept = columns_kept(table.columns, goal)
         spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)
         spec = replace(spec, refine=_refine(data["refine"], spec)) if "refine" in data else spec
         check_effect(spec)
-        check_sampling(params, _slowest(spec))
+        _check_sampled(spec)
         return spec
 
     def on(self, changes: dict[str, Any], root: str = "experiment") -> "SweepSpec":
@@ -149,6 +150,16 @@ class SweepSpec:
         return replace(self, space=changed(self.space, only=tuple(sorted(numbers))))
 
 
+def _check_sampled(spec: SweepSpec) -> None:
+    """Refuse a part of a row's controller that does nothing as slowly as some row is sampled.
+
+    Raises:
+        InputError: There is one.
+    """
+    guards = (axis.values for axis in spec.space.axes if axis.name == "guarded")
+    check_sampling(replace(spec.params, guarded=any(next(guards, (spec.params.guarded,)))), _slowest(spec))
+
+
 def _slowest(spec: SweepSpec) -> float:
     """The longest sampling time of a row [s]."""
     base = spec.experiment.sampling_time
@@ -176,6 +187,11 @@ def _refine(data: Any, spec: SweepSpec) -> RefineTable:
         if spec.space.of_worlds:
             bound = "of parameters of the controller alone"
             raise InputError("refine.method", "pareto", bound, "Rows of different worlds have no common front.")
+        if not any(all(axis.ranged for axis in factor) for factor in spec.space.factors):
+            remedy = "Lists have nothing between their values, nor has what is zipped with them: give a range."
+            raise InputError("refine.method", "pareto", "with a range among the axes", remedy)
+        if not table.goals:
+            raise InputError("refine.goals", "[]", "at least one goal", 'Leave it out for ["rms", "M_s"].')
         for goal in table.goals:
             if goal not in spec.kept:
                 raise InputError("refine.goals", goal, "kept by the sweep", nearest(goal, list(spec.kept)))
@@ -187,12 +203,27 @@ def _refine(data: Any, spec: SweepSpec) -> RefineTable:
         changes["refine.rerun.experiment"] = table.rerun.experiment
     swept = [axis.name for axis in spec.space.axes]
     for root, each in changes.items():
-        spec.on(each, root)
+        changed = spec.on(each, root)
         for key, _ in flattened(each):
             if axis := next((name for name in swept if _within(name, key) or _within(key, name)), None):
                 remedy = f"Rows keep what {axis} gave them: leave it out of one of both."
                 raise InputError(f"{root}.{key}", "changed", "of what is not swept", remedy)
+        _check_rows(changed, root)
     return table
+
+
+def _check_rows(changed: SweepSpec, root: str) -> None:
+    """Refuse a stage on which a row that gets there would have no world, or no controller that works as it is sampled.
+
+    Raises:
+        InputError: Of the axis or key that does not go with what `root` changes.
+    """
+    try:
+        check_worlds(changed.space.factors, changed.experiment)
+        _ = changed.experiment.scored
+        _check_sampled(changed)
+    except InputError as error:
+        raise InputError(error.key, error.value, f"{error.bound}, with {root}", error.remedy) from None
 
 
 def _within(name: str, other: str) -> bool:

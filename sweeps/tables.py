@@ -24,7 +24,8 @@ class Range(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A list, where something else is to be said of it."""
     draw: Drawn | None = None
     """How the points of a grid are drawn on the range; without it they are evenly spaced."""
-    seed: Seed = 0
+    seed: Seed | None = None
+    """For `draw` alone; None is 0."""
     relative: bool = False
     """Whether the numbers multiply what the base has there."""
 

@@ -62,7 +62,7 @@ def around(
     columns = {
         axis.name: _moved(axis, base[axis.name][parents], moves[:, i]) if movable else base[axis.name][parents]
         for i, factor in enumerate(factors)
-        for movable in [all(axis.scale in ("linear", "log") for axis in factor)]
+        for movable in [all(axis.ranged for axis in factor)]
         for axis in factor
     }
     space = result.plan.space

@@ -13,7 +13,13 @@ from jaxmpc.files.errors import InputError
 from sweeps.spec import SweepSpec
 
 GOOD: dict[str, Any] = {
-    "experiment": {"published": "table-1-wam", "duration": 1.0, "settle": 0.3, "stiffness": [375.0, 1900.0]},
+    "experiment": {
+        "published": "table-1-wam",
+        "duration": 1.0,
+        "settle": 0.3,
+        "stiffness": [375.0, 1900.0],
+        "reference": {"z": -5.0},
+    },
     "params": {"published": "text", "Q_p": 0.5},
     "sweep": {
         "kind": "grid",

@@ -216,8 +216,8 @@ def test_rows_of_other_lengths_count_and_leave_no_rate(
 
 
 def test_programs_are_counted_among_the_rows() -> None:
-    experiment = {"published": "table-1"}
     zipped = {"kind": "grid", "zip": [{"architecture": ["mpc", "aob"], "guarded": [False, True], "lam": [0.1, 0.2]}]}
     drawn = {"kind": "random", "rows": 6, "axes": {"duration": {"linear": [20.0, 30.0]}, "lam": [0.1, 0.2]}}
-    for table, count in ((zipped, 2), (drawn, 6)):
-        assert programs(make_plan(SweepSpec.from_dict({"experiment": experiment, "sweep": table}))) == count
+    for table, name, count in ((zipped, "table-1-wam", 2), (drawn, "table-1", 6)):
+        spec = SweepSpec.from_dict({"experiment": {"published": name}, "sweep": table})
+        assert programs(make_plan(spec)) == count

@@ -29,6 +29,7 @@ from sweeps.show.report import sweep_report
 from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
 from tests.sweeps.refined import DATA, STAGE, made
+from tests.sweeps.short_experiment import EXPERIMENT
 
 
 @pytest.mark.oracle
@@ -145,6 +146,7 @@ def test_the_best_rows_run_once_more_on_the_arm(tmp_path: Path) -> None:
         ({"method": "halving"}, ["refine.stages", "one stage or more"]),
         ({"method": "pareto", "stages": [STAGE]}, ["refine.stages", 'method = "halving"']),
         ({"method": "pareto", "goals": ["rms", "Ms"]}, ["refine.goals", "Did you mean 'M_s'"]),
+        ({"method": "pareto", "goals": []}, ["refine.goals", "at least one goal"]),
         ({"method": "halving", "stages": [{"keep": 5}, {"keep": 6}]}, ["ever fewer rows"]),
         ({"method": "halving", "stages": [{"keep": 5, "experiment": {"duration": 0.1}}]}, ["settle"]),
         ({}, ["refine.method"]),
@@ -154,6 +156,45 @@ def test_wrong_tables_are_refused(table: dict[str, Any], words: list[str]) -> No
     with pytest.raises(InputError) as caught:
         made(**table)
     assert [word for word in words if word not in str(caught.value)] == []
+
+
+RAMPS = {"z": [{"kind": "ramp", "to": -5.0, "rate": 2.0}]}
+
+
+@pytest.mark.parametrize(
+    ("axes", "changed", "words"),
+    [
+        ({"settle": [0.2, 0.8]}, {"duration": 0.6}, ["sweep.axes.settle = 0.8", "0.6 s"]),
+        ({"arm.cable_hz": [0.0, 250.0]}, {"physics": "wam", "arm": {"substeps": 1}}, ["cable_hz = 250", "substep"]),
+        (
+            {"duration": [1.0, 2.0]},
+            {"settle": 0.9, "reference": RAMPS},
+            ["sweep.axes.duration = 1", "No sample is left"],
+        ),
+        ({"lam": [0.1, 0.2]}, {"reference": RAMPS}, ["settle", "No sample is left to score"]),
+        ({"guarded": [False, True]}, {"physics": "wam", "sampling_time": 0.01}, ["guarded", "0.005 s"]),
+    ],
+)
+@pytest.mark.parametrize("stage", ["stages[0]", "rerun"])
+def test_a_stage_on_which_some_row_has_no_run_is_refused_before_any_is_run(
+    axes: dict[str, Any], changed: dict[str, Any], words: list[str], stage: str
+) -> None:
+    """The rerun was set aside as a whole when all else had been computed."""
+    refine = {"rerun": {"best": 2, "experiment": changed}}
+    if stage != "rerun":
+        refine = {"method": "halving", "stages": [{"keep": 2, "experiment": changed}], "rerun": {"best": 1}}
+    experiment = {**EXPERIMENT, "arm": {"substeps": 5}}
+    data = {"experiment": experiment, "sweep": {"kind": "grid", "axes": axes}, "refine": refine}
+    with pytest.raises(InputError) as caught:
+        SweepSpec.from_dict(data)
+    assert [word for word in (*words, f"refine.{stage}.experiment") if word not in str(caught.value)] == []
+
+
+def test_a_front_of_lists_alone_is_refused() -> None:
+    """It has no row beside it, so nothing was added, and nobody was told."""
+    sweep = {"kind": "grid", "axes": {"lam": [0.1, 0.2]}, "zip": [{"T_cl": [0.002, 0.003], "K2": [10.0, 20.0]}]}
+    with pytest.raises(InputError, match=r"refine\.method = pareto: must be with a range"):
+        SweepSpec.from_dict({**DATA, "sweep": sweep, "refine": {"method": "pareto"}})
 
 
 @pytest.mark.parametrize(

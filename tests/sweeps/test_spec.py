@@ -20,14 +20,14 @@ def hash_of(path: Path) -> str:
 
 
 def test_overrides_reach_experiment_and_base(write_spec: Write, spec_text: str) -> None:
-    text = spec_text.replace('"text"', '"printed"\narchitecture = "aob"\nK2 = 20').replace(
+    text = spec_text.replace('"text"', '"printed"\ndisturbance_order = 2\nK2 = 20').replace(
         "duration", 'damping = "sampled"\nduration'
     )
     spec = SweepSpec.from_toml(write_spec(text))
     assert spec.experiment.damping == "sampled"
     assert spec.experiment.stiffness == (375.0, 1900.0)
     assert spec.experiment.sensor.noise == 0.010
-    assert (spec.params.architecture, float(spec.params.K2), float(spec.params.Khat_s)) == ("aob", 20.0, 500.0)
+    assert (spec.params.disturbance_order, float(spec.params.K2), float(spec.params.Khat_s)) == (2, 20.0, 500.0)
     assert spec.precision == "float32"
 
 
@@ -155,6 +155,16 @@ def test_a_seed_is_an_axis_as_toml_has_it(write_spec: Write) -> None:
     text = '[experiment]\npublished = "table-1"\nmotion = { kind = "rhythm", rhythm = "premature" }\n'
     spec = SweepSpec.from_toml(write_spec(f'{text}[sweep]\nkind = "grid"\n[sweep.axes]\nmotion.seed = [1, 2, 3]\n'))
     assert [(axis.name, axis.values) for axis in spec.space.axes] == [("motion.seed", (1, 2, 3))]
+
+
+@pytest.mark.parametrize("name", ["stiffness.1", "arm.coulomb.2", "sensor.lsb.0"])
+def test_an_entry_is_an_axis_as_toml_has_it(name: str, write_spec: Write) -> None:
+    """There it is a table in a table; a key outside the experiment's tables was taken for a range."""
+    text = '[experiment]\npublished = "table-1-wam"\n[sweep]\nkind = "grid"\n[sweep.axes]\n'
+    for axis in ("[1.0, 2.0]", "{ linear = [0.5, 2.0], points = 2, relative = true }"):
+        spec = SweepSpec.from_toml(write_spec(f"{text}{name} = {axis}\n"))
+        assert [axis.name for axis in spec.space.axes] == [name]
+        assert spec.space.count == 2
 
 
 def test_a_zipped_list_may_hold_a_number_twice() -> None:

@@ -84,6 +84,12 @@ WRONG = {
     ),
     "text for a number": ("[3, 10]", '[3, "10"]', ["sweep.axes.Hp", "a number"]),
     "a number for an axis": ("[3, 10]", "3", ["sweep.axes.Hp", "a list or a range"]),
+    "a seed of nothing drawn": ("points = 3", "points = 3, seed = 1", ["sweep.axes.T_cl.seed = 1", "given with draw"]),
+    "a table that is wrong within a list": (
+        "[3, 10]",
+        '[3, 10]\nreference.z = [[{ kind = "hold", force = -5.0 }], [{ kind = "hold" }]]',
+        ["sweep.axes.reference.z", "a known key", "spec.toml:19"],
+    ),
     "unknown key of an axis": ("points = 3", "pionts = 3", ["sweep.axes.T_cl.pionts", "Did you mean 'points'"]),
 }
 
@@ -139,9 +145,11 @@ def test_one_bad_value_is_refused_before_it_loses_the_rows_beside_it(
 
 
 @pytest.mark.parametrize("times", [[0.001, 0.01], {"linear": [0.001, 0.01], "points": 3}])
-def test_a_guard_that_a_row_samples_too_slowly_is_refused(times: Any) -> None:
-    params = {"published": "cautious", "guarded": True}
-    sweep = {"kind": "grid", "axes": {"sampling_time": times}}
+@pytest.mark.parametrize("swept", [False, True])
+def test_a_guard_that_a_row_samples_too_slowly_is_refused(times: Any, swept: bool) -> None:
+    params = {"published": "cautious", "guarded": not swept}
+    axes: dict[str, Any] = {"sampling_time": times} | ({"guarded": [False, True]} if swept else {})
+    sweep = {"kind": "grid", "axes": axes}
     with pytest.raises(InputError, match="guarded"):
         SweepSpec.from_dict({"experiment": {"published": "table-1-wam"}, "params": params, "sweep": sweep})
 

@@ -1,0 +1,62 @@
+"""What no run depends on is refused: rows beside each other would be equal, and nobody would be told."""
+
+from typing import Any
+
+import pytest
+
+from jaxmpc.files.errors import InputError
+from sweeps.spec import SweepSpec
+
+ARM = {"published": "table-1-wam"}
+IDLE: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = {
+    "a guard on the linear loop": ({}, {}, {"guarded": [True, False]}, "the linear loop has no guard"),
+    "the scale of no motion": ({"motion": {"kind": "none"}}, {}, {"motion.scale": [0.5, 1.0]}, "the heart moves"),
+    "phases of no motion": ({"motion": {"kind": "none"}}, {}, {"motion.phases": ["table", "random"]}, "has phases"),
+    "the unit of no recording": ({}, {}, {"motion.unit": ["m", "mm"]}, "a recording is played"),
+    "friction that nothing is done about": (
+        ARM, {}, {"arm.nominal_presliding": [1e-3, 2e-3]}, "friction is compensated"
+    ),
+    "a joint of it": (
+        ARM | {"arm": {"nominal_coulomb": [1.0] * 4}}, {}, {"arm.nominal_coulomb.2": [1.0, 2.0]}, "is compensated"
+    ),
+    "the damping of rigid cables": (ARM, {}, {"arm.cable_damping": [0.03, 0.1]}, "cables have a mode"),
+    "weights of no MPC": ({}, {"architecture": "aob"}, {"lam": [0.1, 0.2]}, "the part that it is of"),
+    "horizons of no MPC": ({}, {"architecture": "aob"}, {"Hp": [10, 20]}, "the part that it is of"),
+    "the wanted loop of no observer": ({}, {"published": "mpc-alone"}, {"T_cl": [0.002, 0.003]}, "the part that"),
+    "times nothing": (
+        {}, {}, {"sensor.kalman": {"linear": [0.5, 2.0], "points": 2, "relative": True}}, "a number other than 0"
+    ),
+}  # fmt: skip
+ACTING: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
+    "a guard on the arm": (ARM, {}, {"guarded": [True, False]}),
+    "a scale beside no motion": ({}, {}, {"motion.scale": [0.5, 1.0], "motion.kind": ["none", "harmonics"]}),
+    "friction that is compensated": (ARM | {"arm": {"compensation": 0.5}}, {}, {"arm.nominal_presliding": [1e-3]}),
+    "the damping of cables": (ARM, {}, {"arm.cable_damping": [0.03, 0.1], "arm.cable_hz": [0.0, 60.0]}),
+    "weights of some": ({}, {"architecture": "aob"}, {"lam": [0.1, 0.2], "architecture": ["aob", "mpc-aob"]}),
+    "the wanted loop of an observer": ({}, {"architecture": "aob"}, {"T_cl": [0.002, 0.003]}),
+    "times nothing on one joint": (
+        ARM | {"arm": {"coulomb": [0.0, 2.0, 1.0, 0.5]}}, {}, {"arm.coulomb": {"values": [0.5], "relative": True}}
+    ),
+}  # fmt: skip
+
+
+def spec_of(experiment: dict[str, Any], params: dict[str, Any], axes: dict[str, Any]) -> SweepSpec:
+    return SweepSpec.from_dict({"experiment": experiment, "params": params, "sweep": {"kind": "grid", "axes": axes}})
+
+
+@pytest.mark.parametrize("name", IDLE)
+def test_what_no_run_depends_on_is_refused(name: str) -> None:
+    experiment, params, axes, words = IDLE[name]
+    with pytest.raises(InputError, match=words) as caught:
+        spec_of(experiment, params, axes)
+    assert caught.value.key == f"sweep.axes.{next(iter(axes))}"
+
+
+@pytest.mark.parametrize("name", ACTING)
+def test_what_some_run_depends_on_is_taken(name: str) -> None:
+    spec_of(*ACTING[name])
+
+
+def test_a_guard_that_a_rerun_has_is_taken() -> None:
+    sweep = {"kind": "grid", "axes": {"guarded": [True, False]}}
+    SweepSpec.from_dict({"sweep": sweep, "refine": {"rerun": {"best": 1}}})
