@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 MOST = 8
 """Controllers that one picture can tell apart."""
+SEEDS = 8
+"""Drawn motions unless told otherwise."""
 FIRST_SEED = 1000
 """Seed of the first drawn motion; tuners train on others unless told otherwise."""
 
@@ -31,7 +33,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--experiment", default="table-1", help="a TOML file, or a published one (table-1)")
     parser.add_argument(
-        "--seeds", type=int, default=8, help="drawn motions over which differences get their interval; 0: none (8)"
+        "--seeds",
+        type=int,
+        help="drawn motions over which differences get their interval; 0: none (8; 0 where nothing is drawn)",
     )
     parser.add_argument("--limit", action="store_true", help="also the ratio to the least residual of any linear law")
     parser.add_argument("-o", "--output", type=Path, default=Path("compare.html"), help="the report (compare.html)")
@@ -49,13 +53,14 @@ def run(args: argparse.Namespace) -> int:
 
     if not 1 <= len(args.what) <= MOST:
         raise InputError("controllers", len(args.what), f"at most {MOST}", "Compare fewer at once.")
-    if not 0 <= args.seeds <= 10_000:
-        raise InputError("--seeds", args.seeds, "in [0, 10000]", "8 are usual; 0 leaves the intervals out.")
+    if args.seeds is not None and not 0 <= args.seeds <= 10_000:
+        raise InputError("--seeds", args.seeds, "in [0, 10000]", f"{SEEDS} are usual; 0 leaves the intervals out.")
     check_folder("-o", args.output.parent)
     if args.output.suffix != ".html" or args.output.parent.is_dir():
         check_file("-o", args.output, ".html")
     contenders = named([contender_from(text) for text in args.what])
     experiment = experiment_from(args.experiment)
+    seeds = seeds_of(args.seeds, experiment)
     use_all_cores()
     from jaxmpc.report.compare_page import report_of
     from jaxmpc.report.comparison import compared
@@ -66,12 +71,11 @@ def run(args: argparse.Namespace) -> int:
     for one in contenders:
         print(f"{one.name}: {one.origin}")
     print(f"experiment {experiment.name}: {experiment.duration:g} s, physics {experiment.physics}")
-    seeds = range(FIRST_SEED, FIRST_SEED + args.seeds)
     ratios = _ratios(contenders, experiment) if args.limit else None
     found = compared(contenders, experiment, seeds, ratios=ratios, said=_progress)
     whole = table(found)
     note = (
-        f", differences over {args.seeds} {experiment.draws} ± 95 % (over how many, where some were lost), * where "
+        f", differences over {len(seeds)} {experiment.draws} ± 95 % (over how many, where some were lost), * where "
         "that does not hold zero"
         if seeds
         else ""
@@ -83,6 +87,24 @@ def run(args: argparse.Namespace) -> int:
     failures = list(found.failures())
     print("\n".join(failures), end="\n" if failures else "")
     return int(bool(failures))
+
+
+def seeds_of(count: int | None, experiment: "Experiment") -> range:
+    """What draws the motions; none where all would be the same run, whose differences have no interval.
+
+    Args:
+        count: How many were asked for; None is the usual number.
+        experiment: What is met.
+
+    Raises:
+        InputError: Some were asked for, and nothing is drawn.
+    """
+    if not experiment.draws_anything:
+        if count:
+            remedy = "Every run would be the same one, and its differences certain: leave it out."
+            raise InputError("--seeds", count, "0 where neither motion nor noise is drawn", remedy)
+        count = 0
+    return range(FIRST_SEED, FIRST_SEED + (SEEDS if count is None else count))
 
 
 def contender_from(text: str) -> "Contender":

@@ -193,6 +193,11 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         return self.motion.kind in ("harmonics", "rhythm")
 
     @property
+    def draws_anything(self) -> bool:
+        """Whether runs differ from seed to seed at all."""
+        return self.draws_motion or self.sensor.noise > 0.0
+
+    @property
     def draws(self) -> str:
         """What differs from seed to seed, in words."""
         return "drawn motions" if self.draws_motion else "drawn noises, on one motion,"

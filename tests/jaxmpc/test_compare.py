@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from jaxmpc.cli import main
-from jaxmpc.cli.compare import contender_from, named
+from jaxmpc.cli.compare import SEEDS, contender_from, named, seeds_of
 from jaxmpc.closed_loops import Outcome
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
@@ -127,6 +127,21 @@ def test_wrong_arguments(
     assert main(["compare", *arguments]) == 2
     assert said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_runs_that_are_all_the_same_have_no_interval(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Eight copies of one run gave each difference ± 0.0 and a star."""
+    monkeypatch.chdir(tmp_path)
+    Path("still.toml").write_text('[motion]\nkind = "none"\n[sensor]\nnoise = 0.0\n')
+    still, noisy = experiment_from("still.toml"), experiment_from("table-1")
+    assert (len(seeds_of(None, still)), len(seeds_of(0, still)), list(seeds_of(2, noisy))) == (0, 0, [1000, 1001])
+    assert len(seeds_of(None, noisy)) == SEEDS
+    assert main(["compare", "text", "--experiment", "still.toml", "--seeds", "2"]) == 2
+    said, told = capsys.readouterr()
+    assert said == ""
+    assert "--seeds = 2: must be 0 where neither motion nor noise is drawn" in told
 
 
 def test_a_path_with_an_equals_sign_is_a_path(tuned: Path, tmp_path: Path) -> None:
