@@ -9,7 +9,7 @@ from jaxmpc.quantities import METRICS, PARAMETERS
 from jaxmpc.report.content import Candidates, Measure, Swept, measure
 from jaxmpc.report.influence import influence
 from jaxmpc.status import Status
-from sweeps.axis import SweepAxis
+from sweeps.axis import SweepAxis, whole
 from sweeps.goal import MEASURED
 from sweeps.result import Result
 from sweeps.show.best_rows import RESIDUALS, goal_of
@@ -57,7 +57,8 @@ def _axis(axis: SweepAxis, values: np.ndarray) -> Measure:
     text = "of the base's" if axis.relative else "of the world" if axis.of_world else "of the controller"
     if not axis.numeric:
         text = "; ".join(f"{k}: {axis.label(k)}" for k in range(len(axis.values)))
-    return Measure(axis.name, axis.name, axis.unit, text, values, "parameter", whole=not axis.numeric)
+    counts = not axis.numeric or (whole(axis.name) and not axis.relative)
+    return Measure(axis.name, axis.name, axis.unit, text, values, "parameter", whole=counts)
 
 
 def template(result: Result) -> list[str | Swept]:

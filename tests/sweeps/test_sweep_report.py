@@ -13,13 +13,14 @@ from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps.axis import SweepAxis
 from sweeps.judged import Point
-from sweeps.plan import Plan
+from sweeps.plan import Plan, make_plan
 from sweeps.result import Result
 from sweeps.show.best_rows import table
 from sweeps.show.candidates import candidates, template
 from sweeps.show.curves import length_words, world_words
 from sweeps.show.report import sweep_report
 from sweeps.space import SweepSpace
+from sweeps.spec import SweepSpec
 
 Finished = tuple[Path, Result]
 ROWS = 120
@@ -93,6 +94,19 @@ def test_the_params_toml_of_a_row_is_its_controller(finished: Finished, tmp_path
     text = "".join(piece if isinstance(piece, str) else str(values[piece.name]) for piece in pieces)
     (tmp_path / "params.toml").write_text(text)
     assert Params.from_toml(tmp_path / "params.toml").to_dict() == result.controller(7).to_dict()
+
+
+def test_what_counts_is_written_as_a_whole_number() -> None:
+    """A params.toml with `disturbance_order = 2.0` is refused by whatever takes it."""
+    counted, other = ("delay", "disturbance_order", "designed_delay", "Hp"), ("K2", "sensor.noise")
+    sweep = {"kind": "grid", "axes": {**{key: [1, 2] for key in counted}, **{key: [10.0, 20.0] for key in other}}}
+    plan = make_plan(SweepSpec.from_dict({"params": {"Hu": 1}, "sweep": sweep}))
+    columns = {name: np.zeros((len(plan.rows), *column.shape), column.dtype) for name, column in plan.layout.items()}
+    columns |= {"row": plan.rows, **plan.space.columns(plan.rows)}
+    rows = candidates(Result.of(plan, columns, np.ones(len(plan.rows), bool)))
+    assert {each.name: each.whole for each in rows.measures if each.role == "parameter"} == {
+        name: name in counted for name in (*counted, *other)
+    }
 
 
 def test_a_report_stands_a_sweep_in_which_everything_failed(finished: Finished, tmp_path: Path) -> None:
