@@ -84,8 +84,12 @@ def show(verb: str, args: argparse.Namespace) -> int:
         goals = ("rms", "M_s") if args.goals is None else tuple(name.strip() for name in args.goals.split(","))
         if world_words(result) == "linear loop" and (absent := next((name for name in goals if name in ON_ARM), None)):
             raise InputError("--goals", absent, "what the linear loop measures", "Only runs on the arm have it.")
-        shown = result.pareto(*goals)
-        print(rows_table(shown.take(slice(n) if args.n else slice(None)), f"Pareto front of {', '.join(goals)}", goals))
+        front = result.pareto(*goals)
+        shown = front.take(slice(n)) if args.n else front
+        told = f"Pareto front of {', '.join(goals)}"
+        if len(front):
+            told += f", {f'{len(shown)} of ' * (len(shown) < len(front))}{len(front)} rows"
+        print(rows_table(shown, told, goals))
     return _written(shown, args)
 
 

@@ -98,6 +98,21 @@ def test_tables_show_no_torque_of_a_loop_without_joints(
     assert "--goals = torque_step: must be what the linear loop measures" in capsys.readouterr().err
 
 
+def test_the_rows_that_are_listed_are_written(
+    finished: Finished, command: Callable[..., int], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    whole, goals = len(finished[1].pareto("rms", "M_s", "effort")), ("--goals", "rms,M_s,effort")
+    assert whole > 2
+    for flags, count in ((("-n", 2), 2), ((), whole)):
+        assert command("sweep", "pareto", finished[0], *goals, *flags, "--csv", tmp_path / "rows.csv") == 0
+        listed = capsys.readouterr().out.splitlines()
+        assert listed[0].startswith(
+            f"Pareto front of rms, M_s, effort, {f'{count} of {whole}' if flags else count} rows;"
+        )
+        assert len((tmp_path / "rows.csv").read_text().splitlines()) == 1 + 2 * count
+        assert len([line for line in listed[2:] if line[0].isdigit()]) == count
+
+
 def test_what_is_infinitely_good_is_shown_alike_by_every_table(finished: Finished) -> None:
     best = finished[1].best(1, 5.0)
     endless = replace(best, columns=best.columns | {"gain_reduction_db": np.full((1, 2), np.inf)})
