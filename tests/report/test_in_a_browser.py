@@ -192,12 +192,26 @@ def test_the_toml_of_a_row_has_every_bit(chrome: Opened, small: Path, rows: Cand
     assert type(found["K2"]) is float
 
 
-@pytest.mark.parametrize("goals", [("rms", "M_s"), ("rms", "gain_margin_db", "chatter")])
-def test_the_front_is_the_one_of_brute_force(goals: tuple[str, ...], chrome: Opened, rows: Candidates) -> None:
+@pytest.mark.parametrize(
+    ("goals", "endless"),
+    [
+        (("rms", "M_s"), False),
+        (("rms", "gain_margin_db", "chatter"), False),
+        (("rms", "gain_margin_db", "chatter"), True),
+        (("gain_margin_db", "rms"), True),
+    ],
+)
+def test_the_front_is_the_one_of_brute_force(
+    goals: tuple[str, ...], endless: bool, chrome: Opened, rows: Candidates
+) -> None:
     few = 400
     # Few distinct values, so that there are ties of every kind.
     columns = [np.round(worst(rows, name)[:few], 1 if name == "M_s" else 0) for name in goals]
     floors = [next(each.sense for each in rows.measures if each.name == name) == "floor" for name in goals]
+    if endless:  # a loop that no lower or higher gain makes unstable has the best of margins
+        columns = [
+            np.where(c >= np.nanquantile(c, 0.8), np.inf, c) if f else c for c, f in zip(columns, floors, strict=True)
+        ]
     takes = rows.feasible[:few]
     chrome.page.goto("about:blank")
     source = (ASSETS / "state.js").read_text()
@@ -205,10 +219,38 @@ def test_the_front_is_the_one_of_brute_force(goals: tuple[str, ...], chrome: Ope
     given = [[[None if np.isnan(x) else x for x in c], f] for c, f in zip(columns, floors, strict=True)]
     found = chrome.page.evaluate(call, [given, takes.astype(int).tolist()])
     costs = np.stack([-c if floor else c for c, floor in zip(columns, floors, strict=True)], axis=1)
-    able = np.flatnonzero(takes & np.isfinite(costs).all(axis=1))
+    able = np.flatnonzero(takes & (costs < np.inf).all(axis=1))
+    assert np.isneginf(costs[able]).any() == endless
     beaten = [((costs[able] <= costs[i]).all(axis=1) & (costs[able] < costs[i]).any(axis=1)).any() for i in able]
     assert sorted(found) == able[~np.array(beaten)].tolist()
     assert 2 < len(found) < len(able)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_a_margin_without_end_is_the_best_of_a_map(share: float, chrome: Opened, tmp_path: Path) -> None:
+    """Cells of such rows were grey, which says that none is stable."""
+    made = report(200)
+    assert made.rows is not None
+    some = np.random.default_rng(0).random((200, 1)) < share
+    measures = [
+        replace(each, values=np.where(some & np.isfinite(each.values), np.inf, each.values))
+        if each.name == "gain_reduction_db"
+        else each
+        for each in made.rows.measures
+    ]
+    path = tmp_path / "report.html"
+    write_report(replace(made, rows=replace(made.rows, measures=measures)), path)
+    chrome.open(path)
+    chosen = chrome.page.locator("label", has_text="Best").locator("select")
+    map_of = chrome.page.locator('[aria-label^="best "]')
+    told = []
+    for name in ("gain_margin_db", "gain_reduction_db"):
+        chosen.select_option(name)
+        chrome.page.wait_for_timeout(300)
+        told.append(map_of.get_attribute("aria-label").rpartition(", ")[2])
+    assert told[0] == told[1]
+    assert int(told[0].split()[0]) > 10
+    assert [line for line in chrome.said if "willReadFrequently" not in line] == []
 
 
 def test_what_is_kept_of_no_tissue_is_told(chrome: Opened, tmp_path: Path) -> None:

@@ -64,7 +64,8 @@ function heatView(state, box) {
       if (!state.alive[i] || a.of[i] < 0 || b.of[i] < 0) continue;
       const at = b.of[i] * a.names.length + a.of[i];
       seen[at] = 1;
-      if (Number.isFinite(values[i]) && state.stable[i] && better(i, best[at])) best[at] = i;
+      const there = Number.isFinite(values[i]) || (floor && values[i] === Infinity); // a margin may be infinitely good
+      if (there && state.stable[i] && better(i, best[at])) best[at] = i;
     }
     const log = each.log, scaled = (value) => (log ? Math.log(value) : value), filled = [], empty = [];
     best.forEach((i, at) => {
@@ -72,11 +73,12 @@ function heatView(state, box) {
       if (i >= 0 && (!log || values[i] > 0)) filled.push([p, q, scaled(values[i]), i, state.feasible[i]]);
       else if (seen[at]) empty.push([p, q, 0]);
     });
-    const sorted = filled.map((one) => one[2]).sort((p, q) => p - q), cut = (share) => sorted[Math.floor(share * (sorted.length - 1))];
+    const sorted = filled.map((one) => one[2]).filter(Number.isFinite).sort((p, q) => p - q), cut = (share) => sorted[Math.floor(share * (sorted.length - 1))];
     const scale = { log, flip: floor, low: sorted.length ? cut(floor ? 0.05 : 0) : 0, high: sorted.length ? cut(floor ? 1 : 0.95) : 1 };
     if (!(scale.high > scale.low)) scale.high = scale.low + Math.max(1e-9, 1e-3 * Math.abs(scale.low));
+    for (const one of filled) if (one[2] === Infinity) one[2] = scale.high; // no colour lies beyond
     picture.setAttribute("aria-label", `best ${heading(each)} over ${x} and ${y}, ${filled.length} cells with a stable row`);
-    const said = ([, , value, i, good]) => `${heading(each)} ${written(each, log ? Math.exp(value) : value)}${good ? "" : ", breaks a limit"}\n${state.rows.names[i] || ""}`;
+    const said = ([, , , i, good]) => `${heading(each)} ${written(each, values[i])}${good ? "" : ", breaks a limit"}\n${state.rows.names[i] || ""}`;
     return mapOption(colors, a.names, b.names, { filled, empty }, scale, heading(state.measures.get(x)), heading(state.measures.get(y)), (value) => (value.length < 4 ? "none is stable" : said(value)));
   }
 

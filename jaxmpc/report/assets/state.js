@@ -98,13 +98,12 @@ function written(each, value) {
   return each.whole ? String(value) : String(Number(value.toPrecision(4)));
 }
 
-// Rows that no other beats in the goals; `goals` are [values, floor].
+// Rows that no other beats in the goals; `goals` are [values, floor]. A margin may be infinitely good.
 function paretoFront(goals, takes) {
-  const rows = [];
+  const rows = [], cost = goals.map(([values, floor]) => (floor ? (i) => -values[i] : (i) => values[i]));
   for (let i = 0; i < takes.length; i++) {
-    if (takes[i] && goals.every(([values]) => Number.isFinite(values[i]))) rows.push(i);
+    if (takes[i] && cost.every((each) => each(i) < Infinity)) rows.push(i);
   }
-  const cost = goals.map(([values, floor]) => (floor ? (i) => -values[i] : (i) => values[i]));
   rows.sort((a, b) => {
     for (const each of cost) if (each(a) !== each(b)) return each(a) - each(b);
     return a - b;
