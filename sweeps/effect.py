@@ -1,6 +1,6 @@
 """What a sweep may vary and rank by: something that its runs depend on, and that they measure."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -8,7 +8,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.synthesis.params import Params
 from jaxmpc.world.tissue import LAWS
-from sweeps.goal import ON_ARM
+from sweeps.goal import ON_ARM, SWING
 from sweeps.space import SweepSpace
 from sweeps.targets import OWN_FILTERS
 
@@ -104,8 +104,7 @@ def check_effect(spec: Any) -> None:
     changes += [] if refine is None or refine.rerun is None else [refine.rerun.experiment]
     met = [spec.experiment, *(spec.on(each).experiment for each in changes)]
     linear = "physics" not in swept and all(each.physics == "linear" for each in met)
-    if linear:
-        _check_ranked(spec)
+    _check_ranked(spec, met)
     for name in sorted(swept):
         if linear and name.startswith(("arm.", "tissue.")):
             raise _idle(name, "where runs are on the arm: the linear loop has none", 'Set experiment.physics = "wam".')
@@ -132,18 +131,29 @@ def check_effect(spec: Any) -> None:
                 raise _idle(name, "where something of the heart's motion is drawn", remedy)
 
 
-def _check_ranked(spec: Any) -> None:
-    """Refuse to rank rows of the linear loop by what is measured on the arm alone.
+def _check_ranked(spec: Any, met: Sequence[Experiment]) -> None:
+    """Refuse to rank rows of the linear loop by what is measured on the arm alone: all would be as good as none.
+
+    A limit on such a quantity may stand where a later stage runs on the arm, but for the swing's, which is NaN before.
+
+    Args:
+        spec: A `SweepSpec`.
+        met: Its experiment, and those of its stages and rerun.
 
     Raises:
         InputError: They would be.
     """
+    swept = next((axis.values for axis in spec.space.axes if axis.name == "physics"), None)
+    runs = {*swept} if swept else {each.physics for each in met}
+    some, every = "linear" in runs, runs == {"linear"}
+    own = some if swept else spec.experiment.physics == "linear"
     front = spec.refine.goals if spec.refine is not None and spec.refine.method == "pareto" else ()
-    ranked = {"sweep.best": [spec.goal.best], "sweep.constraints": spec.goal.constraints, "refine.goals": front}
+    limited = [name for name in spec.goal.constraints if every or (own and name == SWING)]
+    ranked = {"sweep.best": [spec.goal.best] * some, "sweep.constraints": limited, "refine.goals": front * own}
     for key, names in ranked.items():
         if name := next((name for name in names if name in ON_ARM), None):
             remedy = 'Only on the arm it is measured: set experiment.physics = "wam", or take another metric.'
-            raise InputError(key, name, "what sweeps of the linear loop measure", remedy)
+            raise InputError(key, name, "what runs on the linear loop measure, as some do that it ranks", remedy)
 
 
 def _idle(name: str, where: str, remedy: str) -> InputError:

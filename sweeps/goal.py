@@ -13,7 +13,8 @@ from jaxmpc.quantities import HIGHEST_M_S, MARGINS, METRICS, Quantity, check_lim
 MEASURED: Mapping[str, Quantity] = MappingProxyType({**METRICS, **MARGINS})
 """What can be ranked, limited and kept."""
 
-ON_ARM = frozenset({"swing", *(name for name, metric in METRICS.items() if metric.arm_only)})
+SWING = "swing"
+ON_ARM = frozenset({SWING, *(name for name, metric in METRICS.items() if metric.arm_only)})
 """What sweeps of the linear loop do not measure: there it is NaN, or 0 for want of joints."""
 
 MOST_DECIDED = 100_000

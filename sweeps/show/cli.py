@@ -82,8 +82,8 @@ def show(verb: str, args: argparse.Namespace) -> int:
         print("".join(f"{line}\n" for line in notes), end="")
     else:
         goals = ("rms", "M_s") if args.goals is None else tuple(name.strip() for name in args.goals.split(","))
-        if world_words(result) == "linear loop" and (absent := next((name for name in goals if name in ON_ARM), None)):
-            raise InputError("--goals", absent, "what the linear loop measures", "Only runs on the arm have it.")
+        if "linear loop" in world_words(result) and (absent := next((name for name in goals if name in ON_ARM), None)):
+            raise InputError("--goals", absent, "what the linear loop measures, too", "Only runs on the arm have it.")
         front = result.pareto(*goals)
         shown = front.take(slice(n)) if args.n else front
         told = f"Pareto front of {', '.join(goals)}"

@@ -58,7 +58,7 @@ def sensitivity_table(result: Result) -> str:
     found = {name: sensitivity(result, name) for name in dict.fromkeys(result.goal.names)}
     for axis in result.axes:
         cells = [found[name][axis.name] for name in result.goal.names]
-        texts = [text for cell in cells for text in (f"{100 * cell.share:.1f} %", f"{cell.correlation:+.2f}")]
+        texts = [text for cell in cells for text in (f"{100 * cell.share:.1f} %", _correlation(cell.correlation))]
         lines.append([axis.name, *texts])
     title = "share of the variance of each quantity's logarithm that an axis explains alone, and Spearman's correlation"
     ok, rows = int(np.sum(result.ok)), len(result)
@@ -66,6 +66,10 @@ def sensitivity_table(result: Result) -> str:
     if ok < rows:
         title += ": shares are of all, what was lost counted as bad, correlations of what has a number"
     return "\n".join([title, *aligned(lines)])
+
+
+def _correlation(value: float) -> str:
+    return "–" if np.isnan(value) else f"{value:+.2f}"
 
 
 def aligned(lines: Sequence[Sequence[str]]) -> list[str]:

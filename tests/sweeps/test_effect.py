@@ -57,6 +57,37 @@ def test_what_some_run_depends_on_is_taken(name: str) -> None:
     spec_of(*ACTING[name])
 
 
+RANKED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+    "before a rerun on the arm": ({"best": "joint_torque"}, {"rerun": {"best": 1}}, "sweep.best"),
+    "beside rows on the arm": ({"best": "torque_step", "axes": {"physics": ["linear", "wam"]}}, {}, "sweep.best"),
+    "in a stage": (
+        {"best": "swing"},
+        {"method": "halving", "stages": [{"keep": 1, "experiment": {"physics": "linear"}}]},
+        "sweep.best",
+    ),
+    "by a limit that no row keeps": (
+        {"constraints": {"swing": 0.1}}, {"rerun": {"best": 1}}, "sweep.constraints"
+    ),
+    "along a front": ({}, {"method": "pareto", "goals": ["rms", "swing"], "rerun": {"best": 1}}, "refine.goals"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RANKED)
+def test_rows_of_the_linear_loop_are_not_ranked_by_what_it_does_not_measure(name: str) -> None:
+    """With 0 for every row the first ones were the best, and with NaN none was."""
+    sweep, refine, key = RANKED[name]
+    experiment = ARM if name == "in a stage" else {}
+    sweep = {"kind": "grid", "axes": {"lam": {"log": [0.1, 0.2], "points": 2}}} | sweep
+    with pytest.raises(InputError, match="the linear loop") as caught:
+        SweepSpec.from_dict({"experiment": experiment, "sweep": sweep, **({"refine": refine} if refine else {})})
+    assert caught.value.key == key
+
+
+def test_a_rerun_on_the_arm_may_be_limited_by_what_it_measures() -> None:
+    sweep = {"kind": "grid", "constraints": {"clamped": 0.001}, "axes": {"lam": [0.1, 0.2]}}
+    SweepSpec.from_dict({"sweep": sweep, "refine": {"rerun": {"best": 1}}})
+
+
 def test_a_guard_that_a_rerun_has_is_taken() -> None:
     sweep = {"kind": "grid", "axes": {"guarded": [True, False]}}
     SweepSpec.from_dict({"sweep": sweep, "refine": {"rerun": {"best": 1}}})

@@ -17,7 +17,7 @@ from sweeps.plan import Plan
 from sweeps.result import Result
 from sweeps.show.best_rows import table
 from sweeps.show.cli import TAKES
-from sweeps.show.tables import row_sheet, rows_table
+from sweeps.show.tables import row_sheet, rows_table, sensitivity_table
 from sweeps.space import SweepSpace
 
 Finished = tuple[Path, Result]
@@ -111,6 +111,12 @@ def test_the_rows_that_are_listed_are_written(
         )
         assert len((tmp_path / "rows.csv").read_text().splitlines()) == 1 + 2 * count
         assert len([line for line in listed[2:] if line[0].isdigit()]) == count
+
+
+def test_what_does_not_vary_has_no_correlation(finished: Finished) -> None:
+    told = sensitivity_table(finished[1].take(slice(1)))
+    assert "nan" not in told
+    assert told.splitlines()[2].split()[3] == "–"
 
 
 def test_what_is_infinitely_good_is_shown_alike_by_every_table(finished: Finished) -> None:
