@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
 
+from msgspec.structs import replace as changed
+
 from jaxmpc import described
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
@@ -109,7 +111,7 @@ class SweepSpec:
         check_controller(space, params)
         kept = columns_kept(table.columns, goal)
         spec = SweepSpec(experiment, params, space, table.precision, name, goal, kept, table.on_error)
-        spec = replace(spec, refine=_refine(data["refine"], spec)) if "refine" in data else spec
+        spec = replace(spec, refine=_refine(data["refine"], spec, folder)) if "refine" in data else spec
         check_effect(spec)
         _check_sampled(spec)
         return spec
@@ -141,8 +143,6 @@ class SweepSpec:
         Raises:
             InputError: There are none, or one is no number of a row.
         """
-        from msgspec.structs import replace as changed
-
         if not len(rows):
             raise InputError("rows", "none", "the number of one row at least", "Ask for rows that are there.")
         remedy = "Rows are counted from 0, those of a grid with Hu > Hp too."
@@ -167,14 +167,17 @@ def _slowest(spec: SweepSpec) -> float:
     return max((axis.setting(value, base) for axis in axes for value in axis.values), default=base)
 
 
-def _refine(data: Any, spec: SweepSpec) -> RefineTable:
-    """The table [refine], checked against the sweep that it refines.
+def _refine(data: Any, spec: SweepSpec, folder: Path) -> RefineTable:
+    """The table [refine], checked against the sweep that it refines; recordings are looked for in the folder.
 
     Raises:
         InputError: It does not go with the sweep.
     """
     known_keys(RefineTable, data, "refine")
     table = convert(data, RefineTable, "refine")
+    stages = tuple(changed(stage, experiment=_beside(stage.experiment, folder)) for stage in table.stages)
+    rerun = table.rerun and changed(table.rerun, experiment=_beside(table.rerun.experiment, folder))
+    table = changed(table, stages=stages, rerun=rerun)
     for key, wanted in (("stages", "halving"), ("rounds", "pareto"), ("points", "pareto"), ("goals", "pareto")):
         if key in data and table.method != wanted:
             raise InputError(f"refine.{key}", "given", f'given with method = "{wanted}"', f"Remove {key}.")
@@ -203,25 +206,33 @@ def _refine(data: Any, spec: SweepSpec) -> RefineTable:
         changes["refine.rerun.experiment"] = table.rerun.experiment
     swept = [axis.name for axis in spec.space.axes]
     for root, each in changes.items():
-        changed = spec.on(each, root)
+        there = spec.on(each, root)
         for key, _ in flattened(each):
             if axis := next((name for name in swept if _within(name, key) or _within(key, name)), None):
                 remedy = f"Rows keep what {axis} gave them: leave it out of one of both."
                 raise InputError(f"{root}.{key}", "changed", "of what is not swept", remedy)
-        _check_rows(changed, root)
+        _check_rows(there, root)
     return table
 
 
-def _check_rows(changed: SweepSpec, root: str) -> None:
+def _beside(changes: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The same keys of an experiment; a recording lies in the folder."""
+    motion = changes.get("motion")
+    if not (isinstance(motion, dict) and isinstance(motion.get("file"), str) and motion["file"]):
+        return changes
+    return {**changes, "motion": {**motion, "file": str(folder / motion["file"])}}
+
+
+def _check_rows(stage: SweepSpec, root: str) -> None:
     """Refuse a stage on which a row that gets there would have no world, or no controller that works as it is sampled.
 
     Raises:
         InputError: Of the axis or key that does not go with what `root` changes.
     """
     try:
-        check_worlds(changed.space.factors, changed.experiment)
-        _ = changed.experiment.scored
-        _check_sampled(changed)
+        check_worlds(stage.space.factors, stage.experiment)
+        _ = stage.experiment.scored
+        _check_sampled(stage)
     except InputError as error:
         raise InputError(error.key, error.value, f"{error.bound}, with {root}", error.remedy) from None
 

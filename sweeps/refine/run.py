@@ -113,6 +113,10 @@ def _check_size(spec: SweepSpec, refine: RefineTable) -> None:
 def described(spec: SweepSpec) -> tuple[dict[str, Any], str]:
     """The whole as plain data, and its hash: here the ranking counts, since later stages follow from it."""
     refine, goal = msgspec.to_builtins(spec.refine), msgspec.to_builtins(spec.goal)
+    for stage in (*refine["stages"], *filter(None, [refine["rerun"]])):
+        if isinstance(motion := stage["experiment"].get("motion"), dict) and motion.get("file"):
+            # As in the spec of a plain sweep: by its content, wherever it lies.
+            motion["file"] = spec.on(stage["experiment"]).experiment.content["motion"]["file"]
     if spec.precision == "float64" or not spec.goal.decide:
         # Folders from before anything ran once more in float64 go on.
         del goal["decide"]

@@ -19,13 +19,14 @@ from sweeps.crew import Alone, ComputedChunk, Stop
 from sweeps.leases import Leases
 from sweeps.pace import Pace
 from sweeps.plan import Plan
+from sweeps.refine.run import described
 from sweeps.refine.run import run as refine
 from sweeps.result import Result
 from sweeps.run import run
 from sweeps.share import Share
 from sweeps.show.best_rows import chance, progress
 from sweeps.spec import SweepSpec
-from tests.sweeps.refined import STAGE, made
+from tests.sweeps.refined import DATA, STAGE, made
 
 OVER_MARGINS = """\
 [experiment]
@@ -174,3 +175,16 @@ def test_rounds_tell_together_what_float64_decided(tmp_path: Path) -> None:
     undecided = replace(found, columns={**found.columns, "in_float64": np.zeros(len(found), bool)})
     assert "each round ran in float64" in chance(undecided)[1]
     assert "`decide` in [sweep] bounds" in chance(replace(undecided, stages=()))[1]
+
+
+def test_a_recording_of_a_stage_lies_beside_the_spec_and_counts_by_its_content(tmp_path: Path) -> None:
+    """It was looked for where the command ran, and the hash knew its name alone."""
+    hashes = []
+    for name, file, size in (("a", "x.csv", 1e-5), ("b", "y.csv", 1e-5), ("c", "x.csv", 2e-5)):
+        folder = tmp_path / name
+        folder.mkdir()
+        rows = "".join(f"{0.01 * t},0,0,{size * t}\n" for t in range(201))
+        (folder / file).write_text(f"t,x,y,z\n{rows}")
+        changed = {"best": 1, "experiment": {"motion": {"kind": "recording", "file": file}}}
+        hashes.append(described(SweepSpec.from_dict({**DATA, "refine": {"rerun": changed}}, folder))[1])
+    assert hashes[0] == hashes[1] != hashes[2]
