@@ -174,6 +174,25 @@ def test_another_tissue_and_another_limit_judge_anew(chrome: Opened, small: Path
     assert chrome.shown()[1] == ((rows.status[:, 0] == 0) & (M_s.values[:, 0] <= 1.5)).sum()
 
 
+def test_a_row_that_did_not_end_well_keeps_no_limit(chrome: Opened, tmp_path: Path) -> None:
+    """Green words said that a row which had diverged keeps every limit: of M_s, say, the only one there was."""
+    made = report(5)
+    assert made.rows is not None
+    status = np.zeros((5, 3), np.uint8)
+    status[1, 2] = 2
+    measures = [replace(each, values=np.full((5, 3), 1.5)) if each.limit else each for each in made.rows.measures]
+    path = tmp_path / "report.html"
+    write_report(replace(made, rows=replace(made.rows, status=status, measures=measures)), path)
+    chrome.open(path)
+    told = []
+    for row in (0, 1):
+        chrome.page.locator(f"tr[data-row='{row}']").click()
+        chrome.page.wait_for_timeout(100)
+        verdict = chrome.page.locator("h3 + p.good, h3 + p.bad")
+        told.append((verdict.get_attribute("class"), verdict.inner_text()))
+    assert told == [("good", "keeps every limit"), ("bad", "is not OK")]
+
+
 def test_the_toml_of_a_row_has_every_bit(chrome: Opened, small: Path, rows: Candidates) -> None:
     chrome.open(small)
     sight = chrome.page.locator(".sight")

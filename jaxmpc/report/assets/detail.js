@@ -42,8 +42,9 @@ function detailView(state, box) {
       const each = state.measures.get(name), value = state.values(name)[i];
       return !(each.sense === "floor" ? value >= limit : value <= limit);
     }).map(([name]) => state.measures.get(name).head);
+    const wrong = [...(state.stable[i] ? [] : ["is not OK"]), ...(broken.length ? [`breaks the limit of ${broken.join(", ")}`] : [])];
     body.append(element("h3", { textContent: rows.names[i] }),
-      element("p", { className: broken.length ? "bad" : "good", textContent: broken.length ? `breaks the limit of ${broken.join(", ")}` : "keeps every limit" }));
+      element("p", { className: wrong.length ? "bad" : "good", textContent: wrong.join(" and ") || "keeps every limit" }));
     const parameters = rows.measures.filter((each) => each.role === "parameter"), others = rows.measures.filter((each) => each.role === "other");
     const halves = element("div", { className: "halves" });
     const left = element("div"), right = element("div");
