@@ -153,7 +153,8 @@ def _listed(name: str, values: list[Any], given: Range, sets: Mapping[str, Any],
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     if numbers and not choice_only(name):
         return make_axis(name, "list", tuple(map(float, values)), None, relative=given.relative, repeats=repeats)
-    if given.relative or (name in PARAMETERS and not all(isinstance(value, list) for value in values)):
+    vectors = name not in HORIZONS and all(isinstance(value, list) for value in values)
+    if given.relative or (name in PARAMETERS and not vectors):
         wrong = next(each for each in values if isinstance(each, bool) or not isinstance(each, int | float))
         raise InputError(key, wrong, "a number", f"Its unit is [{target(name).unit}].")
     labels: tuple[str, ...] = ()

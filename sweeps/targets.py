@@ -112,6 +112,8 @@ def read(name: str, params: Params, experiment: Mapping[str, Any]) -> Any:
     found: Any = experiment
     for part in name.split("."):
         try:
+            if isinstance(found, str):
+                raise TypeError  # a word has letters, and no entries
             found = found[int(part)] if numbered(part) else found[part]
         except (IndexError, TypeError, KeyError):
             raise InputError(f"sweep.axes.{name}", part, "an entry that is there", "Count from 0.") from None

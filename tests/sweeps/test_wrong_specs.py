@@ -116,6 +116,11 @@ def test_wrong_specs_are_refused_before_anything_is_written(
         f'"arm.coulomb.{"1" * 5000}" = [1.0, 2.0]',
         "guarded = { values = [0, 1], relative = true }",
         "architecture = { values = [], relative = true }",
+        '"physics.1" = [1.0, 2.0]',
+        '"tissue.kind.0" = ["a", "b"]',
+        "Hu = [[1, 2], [3, 4]]",
+        "Hu = [[{ kind = 1 }], [{ kind = 2 }]]",
+        "Hp = [[10, 20], [30, 40]]",
     ],
 )
 def test_axes_that_name_nothing_are_refused_in_words(axes: str, write_spec: Write, command: Command) -> None:
