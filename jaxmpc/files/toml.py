@@ -10,6 +10,7 @@ import msgspec
 
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.foreign import read_text, toml_of
+from jaxmpc.files.key_line import line_of
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -39,7 +40,14 @@ def located(path: str | Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise error.at(Path(path), _line_of(Path(path), error.key)) if error.file is None else error from None
+        raise error.at(Path(path), _line(Path(path), error.key)) if error.file is None else error from None
+
+
+def _line(path: Path, key: str) -> int | None:
+    try:
+        return line_of(read_text(path), key)
+    except InputError:
+        return None
 
 
 def convert(data: Any, kind: type[T], root: str = "") -> T:
@@ -109,7 +117,7 @@ def _plain(value: Any) -> Any:
 
 def _explain(error: msgspec.ValidationError, data: Any, kind: type[msgspec.Struct], root: str) -> InputError:
     text, _, path = str(error).partition(" - at `$")
-    path = path.strip("`").lstrip(".")
+    path = _named(path.strip("`").lstrip("."), data, kind)
     if unknown := re.search(r"contains unknown field `(.*)`", text):
         key = ".".join(part for part in (root, path, unknown[1]) if part)
         value = _lookup(data, f"{path}.{unknown[1]}".lstrip("."))
@@ -124,6 +132,23 @@ def _explain(error: msgspec.ValidationError, data: Any, kind: type[msgspec.Struc
         return InputError(key, value, "a number of at most 64 bits", "Write 1e30, say.")
     bound = re.sub(r"`(\w+)`", lambda word: _WORDS.get(word[1], word[1]), text.removeprefix("Expected "))
     return InputError(key, value, bound.replace("`", ""), "Correct the value.")
+
+
+def _named(path: str, data: Any, kind: type[msgspec.Struct]) -> str:
+    """A path in which names that the user chose stand, for which msgspec writes [...]."""
+    table, mark, rest = path.partition("[...]")
+    if not mark or not table.isidentifier():
+        return path
+    for name, value in _lookup(data, table).items():
+        try:
+            msgspec.convert({table: {name: value}}, msgspec.defstruct("_One", [(table, _type_of(kind, table))]))
+        except msgspec.ValidationError:
+            return f"{table}.{name}{rest}"
+    return path
+
+
+def _type_of(kind: type[msgspec.Struct], name: str) -> Any:
+    return next(field.type for field in msgspec.structs.fields(kind) if field.encode_name == name)
 
 
 _WORDS = {"object": "a table", "array": "a list", "str": "text", "int": "a whole number", "float": "a number"}
@@ -201,30 +226,6 @@ def _lookup(data: Any, path: str) -> Any:
         except (KeyError, IndexError, TypeError):
             return "missing"
     return data
-
-
-def _line_of(path: Path, key: str) -> int | None:
-    """The line of a TOML file that sets a dotted key, or else the nearest table around it."""
-    parts = [part for part in re.split(r"[.\[\]]", key) if part and not part.isdigit()]
-    try:
-        lines = read_text(path).splitlines()
-    except InputError:
-        return None
-    while parts:
-        *tables, name = parts
-        header, anywhere, table = None, None, ""
-        for number, line in enumerate(lines, 1):
-            if found := re.match(r"\s*\[+\s*([^\]]+?)\s*\]+", line):
-                table = found[1]
-                header = header or (number if table.split(".")[-1] == name else None)
-            elif re.match(rf"\s*(?:[\w.]*\.)?{re.escape(name)}\s*=", line):
-                if not tables or table.endswith(tables[-1]):
-                    return number
-                anywhere = anywhere or number
-        if header or anywhere:
-            return header or anywhere
-        parts = tables
-    return None
 
 
 def write_toml(path: str | Path, data: dict[str, Any], comment: str = "") -> None:
