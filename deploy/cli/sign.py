@@ -20,15 +20,16 @@ def run(args: argparse.Namespace) -> int:
     """Check a controller and sign it; 1 if it is refused.
 
     Raises:
-        InputError: There is no such file, or no such key.
+        InputError: There is no such file, it can be no controller, or there is no such key.
     """
     from deploy.controller import signature
-    from deploy.controller.file import ArtifactError, from_bytes, read
+    from deploy.controller.file import ArtifactError, check_kind, from_bytes, read
     from jaxmpc.files.sealed import write_atomic
 
     if not args.artifact.exists():
         remedy = "Make one with `jaxmpc freeze PARAMS.toml -o FILE`."
         raise InputError("artifact", args.artifact, "an existing file", remedy)
+    check_kind(args.artifact)
     try:
         data = read(args.artifact)
         from_bytes(data)  # nobody puts his name to what no robot would take

@@ -180,7 +180,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         if self.physics == "linear" and not self.tissue.linear:
             bound = "elastic, attached and unchanged on the linear loop"
             remedy = 'Set physics = "wam", or leave the table [tissue] as it is.'
-            raise InputError("tissue.kind", self.tissue.kind, bound, remedy)
+            key, value = self.tissue.beyond_linear[0]
+            raise InputError(f"tissue.{key}", value, bound, remedy)
 
     def with_seed(self, seed: int) -> "Experiment":
         """The same experiment with the phases of the motion and the sensor noise drawn anew."""

@@ -107,7 +107,13 @@ class TissueSettings(_TissueConstants, frozen=True, forbid_unknown_fields=True):
     @property
     def linear(self) -> bool:
         """Whether the linear world can have it: a spring that holds the tip and stays as it is."""
-        return self.kind == "elastic" and self.attached and not self.changes
+        return not self.beyond_linear
+
+    @property
+    def beyond_linear(self) -> list[tuple[str, Any]]:
+        """Keys, with their values, that the linear world cannot have."""
+        kept = {"kind": "elastic", "attached": True, "changes": ()}
+        return [(key, getattr(self, key)) for key, value in kept.items() if getattr(self, key) != value]
 
 
 def softening(tissue: TissueSettings, t: np.ndarray) -> np.ndarray:

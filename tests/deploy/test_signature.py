@@ -183,6 +183,15 @@ def test_what_no_robot_would_take_is_not_signed(tmp_path, key, capsys):
     assert not path_of(path).exists()
 
 
+@pytest.mark.parametrize("name", ["folder", "params.toml"])
+def test_what_cannot_be_a_controller_is_wrong_input_as_for_check_and_run(tmp_path, key, capsys, name):
+    made = tmp_path / name
+    made.mkdir() if name == "folder" else made.write_text("[params]\n")
+    assert main(["sign", str(made), "--key", str(key[0])]) == main(["check", str(made)]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert told[0].removeprefix("jaxmpc sign") == told[1].removeprefix("jaxmpc check")
+
+
 def test_without_the_library_a_signature_that_is_wanted_is_refused_and_one_that_is_not_is_told(frozen, tmp_path):
     blob = b"\0\0\0\x0bssh-ed25519\0\0\0\x20" + bytes(32)
     owner, value = (base64.b64encode(each).decode() for each in (blob, bytes(64)))

@@ -176,8 +176,10 @@ def test_defaults_are_those_of_the_model_file() -> None:
 
 @pytest.mark.parametrize("tissue", [{"kind": "fung"}, {"attached": False}, {"changes": [{"at": 1.0, "factor": 2.0}]}])
 def test_the_linear_world_says_which_tissue_it_has(tissue: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="elastic, attached and unchanged"):
+    with pytest.raises(InputError, match="elastic, attached and unchanged") as told:
         Experiment.from_dict({"physics": "linear", "tissue": tissue})
+    # The key that is wrong, not a kind that is right.
+    assert told.value.key == f"tissue.{next(iter(tissue))}"
     on_arm = Experiment.from_dict({"physics": "wam", "tissue": tissue})
     with pytest.raises(InputError, match="elastic, attached and unchanged"):
         with_physics(on_arm, "linear")
