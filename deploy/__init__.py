@@ -1,1 +1,1 @@
-"""The robot side: frozen controllers, checked and run with numpy and the standard library alone."""
+"""The robot side: frozen controllers are checked with numpy and the standard library, run with python-can too."""

@@ -171,7 +171,7 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     torque_limit: Torques = MOTOR_TORQUE_LIMIT
     """Largest torque of each motor [N m]."""
     joint_torque_limit: Torques = (50.0, 50.0, 50.0, 50.0)
-    """Largest torque of each joint, as the robot's clamp has it [N m]; 0 is no limit."""
+    """Largest torque of each joint [N m]; 0 is no limit. By default all have that of the robot's clamp on joint 2."""
     torque_step_limit: Torques = (10.0, 10.0, 10.0, 10.0)
     """Largest change of a joint's torque from one sample to the next, the same [N m]; 0 is no limit."""
     cable_hz: Annotated[float, msgspec.Meta(ge=0.0, le=300.0)] = 0.0

@@ -35,7 +35,7 @@ class Desk:
         if environment is not None:
             (folder / ".venv").symlink_to(environment)
             self._variables["PYTHONPATH"] = str(ROOT)
-        _write_heart(folder / "heart.csv")
+        write_heart(folder / "heart.csv")
         # As `jaxmpc tune` would have left it.
         write_toml(folder / "params.toml", {"params": Params.published("cautious").to_dict()})
 
@@ -64,7 +64,7 @@ class Desk:
         assert done.returncode == code, f"{place} ended with {done.returncode}:\n{said}"
 
 
-def _write_heart(path: Path) -> None:
+def write_heart(path: Path) -> None:
     """Ten seconds of a heart's surface at 100 Hz: 75 beats a minute over breathing, some millimetres."""
     t = np.arange(0.0, 10.0, 0.01)
     beat, breath = 2.0 * np.pi * 1.25 * t, 2.0 * np.pi * 0.25 * t
