@@ -48,7 +48,8 @@ def evaluate(
 ) -> Outcome:
     """Run controllers through an experiment.
 
-    Never raises for a bad controller: its `status` says what happened and its metrics are NaN. For many
+    Never raises for a bad controller: its `status` says what happened. Metrics are NaN where the loop is unstable or
+    ill-posed or the run diverged; one that left a limit of force or lost contact keeps them. For many
     thousands of controllers use `sweeps.run`, which works in blocks on all cores.
 
     Args:
