@@ -92,7 +92,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     twin.add_argument("--stiffness", type=float, metavar="N/M", help="of its tissue (810, or the experiment's)")
     twin.add_argument("--rhythm", help="of its heart, or a recording: heart.csv, heart.csv:mm (the experiment's)")
     twin.add_argument(
-        "--fault", action="append", default=[], metavar="FAULT", help="as of `jaxmpc twin`, again for more"
+        "--fault", action="append", default=[], metavar="FAULT", help="as for `jaxmpc twin`; again for more"
     )
     twin.add_argument("--seed", type=int, default=0, help="of its noise and faults (0)")
     add_arguments(parser)

@@ -40,7 +40,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--cold", action="store_true", help="just switched on: at home, pucks in reset")
     parser.add_argument(
-        "--fault", action="append", default=[], metavar="TARGET:WORD", help="force:stuck@12, J2:off@3+0.1"
+        "--fault",
+        action="append",
+        default=[],
+        metavar="TARGET:WORD",
+        help="force:stuck@12, J2:off@3+0.1, … (docs/robot.md); again for more",
     )
     parser.add_argument(
         "--port", type=int, help=f"of socketcand on 127.0.0.1; 0 takes a free one ({PORT}; with -i none)"

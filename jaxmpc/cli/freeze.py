@@ -26,13 +26,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "with --row, of a sweep",
     )
     parser.add_argument("--row", type=int, metavar="N", help="which row of a sweep; `jaxmpc sweep best DIR` lists some")
-    parser.add_argument("-o", "--output", type=Path, default=Path("controller.npz"), help="(controller.npz)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("controller.npz"), help="the file to make (controller.npz)"
+    )
     parser.add_argument(
         "--experiment",
         help="its stiffnesses are the promise (table-1, which only replays; of a row the one that it met; to drive an "
         "arm: table-1-wam)",
     )
-    parser.add_argument("--limits", type=Path, metavar="TOML", help="limits on the arm that differ from the default")
+    parser.add_argument(
+        "--limits", type=Path, metavar="TOML", help="limits on the arm that differ from the default (docs/robot.md)"
+    )
     parser.add_argument("--ideal", action="store_true", help="declare the margins of the ideal loop, not as it runs")
     floor = parser.add_argument_group("margin floor, held at every stiffness from softest to hardest")
     for name, flag in FLOOR_FLAGS.items():

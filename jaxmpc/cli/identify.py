@@ -24,7 +24,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "recording",
         help=f"CSV or npz of motion without contact: {columns}; or {SAMPLE}, a sample to try, made by the twin",
     )
-    parser.add_argument("-o", "--output", type=Path, default=Path("friction.toml"), help="(friction.toml)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("friction.toml"), help="the file to make (friction.toml)"
+    )
     parser.add_argument("--figure", type=Path, help="measured and fitted friction over velocity")
 
 

@@ -28,7 +28,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--params", help="a params.toml or a published set to put beside it: text, cautious, …")
     parser.add_argument("--sensitivity", type=float, default=2.0, metavar="M_S", help="largest M_s (2)")
     parser.add_argument(
-        "--chatter", type=float, default=1.2, help="RMS change of the acceleration asked per sample, m/s²; inf (1.2)"
+        "--chatter",
+        type=float,
+        default=1.2,
+        help="RMS change of the acceleration asked per sample, m/s²; inf: no bound (1.2)",
     )
     parser.add_argument(
         "--band", type=float, default=0.0, help="0.08: the law has to hold for K_s within ±8 %% of what it knows (0)"
