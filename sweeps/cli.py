@@ -25,11 +25,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.usage = (
         "jaxmpc sweep SPEC.toml [-o DIR] [--dry-run [--measure]] [--part K/N | --local-workers N | --cluster ADDRESS]\n"
-        "       jaxmpc sweep report DIR [-o FOLDER] [--csv FILE] [--max-ms M] [-n N]\n"
-        "       jaxmpc sweep best DIR [-n N] [--max-ms M] [--params FILE] [--csv FILE]\n"
-        "       jaxmpc sweep pareto DIR [-n N] [--goals A,B] [--params FILE] [--csv FILE]\n"
-        "       jaxmpc sweep row DIR N [--params FILE] [--csv FILE]\n"
-        "       jaxmpc sweep sensitivity DIR [--max-ms M] [--params FILE]"
+        "       jaxmpc sweep report DIR [-o FOLDER] [--csv FILE.csv] [--max-ms M] [-n N]\n"
+        "       jaxmpc sweep best DIR [-n N] [--max-ms M] [--params FILE.toml] [--csv FILE.csv]\n"
+        "       jaxmpc sweep pareto DIR [-n N] [--goals A,B] [--params FILE.toml] [--csv FILE.csv]\n"
+        "       jaxmpc sweep row DIR N [--params FILE.toml] [--csv FILE.csv]\n"
+        "       jaxmpc sweep sensitivity DIR [--max-ms M] [--params FILE.toml]"
     )
     parser.add_argument("what", nargs="+", metavar="SPEC.toml | VERB DIR", help="the sweep to run, or what to show")
     parser.add_argument("-o", type=Path, dest="out", help="results (default runs/SPEC) or figures (default DIR/report)")

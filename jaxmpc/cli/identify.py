@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.files.outputs import check_file
     from jaxmpc.identify.identification import identify, read_recording, write
 
-    check_file("-o", args.output)
+    check_file("-o", args.output, ".toml")
     check_file("--figure", args.figure, *SUFFIXES)
     path = _file_of(args.recording)
     recording = read_recording(path)

@@ -45,8 +45,8 @@ def show(verb: str, args: argparse.Namespace) -> int:
     for flag in [flag for flag, value in given.items() if value is not None and flag not in TAKES[verb]]:
         takers = " | ".join(other for other, flags in TAKES.items() if flag in flags)
         raise InputError(flag, given[flag], f"left out of `sweep {verb}`", f"It belongs to `jaxmpc sweep {takers}`.")
-    check_file("--csv", args.csv)
-    check_file("--params", args.params)
+    check_file("--csv", args.csv, ".csv")
+    check_file("--params", args.params, ".toml")
     limit, n = args.max_ms, 10 if args.n is None else args.n
     if limit is not None:
         check_limit("--max-ms", MARGINS["M_s"], limit, "No loop has a smaller peak sensitivity; 2 is usual.")

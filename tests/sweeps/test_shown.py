@@ -25,10 +25,11 @@ ROWS = 120
 
 
 @pytest.mark.parametrize("verb", ["best", "pareto", "row", "sensitivity", "report"])
-@pytest.mark.parametrize("flag", ["--csv", "--params"])
+@pytest.mark.parametrize(("flag", "name"), [("--csv", "rows.csv"), ("--params", "rows.toml")])
 def test_what_cannot_be_written_is_refused_before_anything_is_shown(
     verb: str,
     flag: str,
+    name: str,
     finished: Finished,
     command: Callable[..., int],
     capsys: pytest.CaptureFixture[str],
@@ -36,9 +37,11 @@ def test_what_cannot_be_written_is_refused_before_anything_is_shown(
 ) -> None:
     if flag not in TAKES[verb]:
         pytest.skip("that verb does not take it")
-    fifo, number = tmp_path / "rows", ["7"] if verb == "row" else []
+    fifo, number = tmp_path / name, ["7"] if verb == "row" else []
     os.mkfifo(fifo)
-    for path in (fifo, tmp_path, tmp_path / "nowhere" / "rows"):
+    folder = tmp_path / f"folder-{name}"
+    folder.mkdir()
+    for path in (fifo, folder, tmp_path / "nowhere" / name):
         assert command("sweep", verb, finished[0], *number, flag, path) == 2
         said = capsys.readouterr()
         assert (said.out, said.err.count("\n")) == ("", 1)
