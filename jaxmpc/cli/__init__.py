@@ -1,5 +1,6 @@
 """The command line: a table of verbs, each a module that is imported when it is called."""
 
+import argparse
 import errno
 import os
 import select
@@ -85,14 +86,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(argv: Sequence[str] | None, struck: Callable[[], bool]) -> int:
     argv = list(sys.argv[1:] if argv is None else argv)
     chosen = next((word for word in argv if not word.startswith("-")), None)
-    if chosen not in VERBS:
-        parser = _parser([])
-        if chosen is not None:
-            parser.error(f"{plain(chosen, 80)}: must be a verb. {nearest(chosen, list(VERBS))}")
-        parser.check_options(argv)
-        parser.parse_args(argv)
-        parser.print_help()
-        return 0
     try:
         return _run(chosen, argv)
     except InputError as error:
@@ -108,8 +101,8 @@ def _main(argv: Sequence[str] | None, struck: Callable[[], bool]) -> int:
     except BrokenPipeError:
         if not _unread(sys.stdout.fileno()):
             raise
-        # Who reads has had enough, as `head` has; what Python still wants to flush at its end goes nowhere.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # Who reads has had enough, as `head` has.
+        _write_nowhere()
         return 141
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
@@ -118,11 +111,24 @@ def _main(argv: Sequence[str] | None, struck: Callable[[], bool]) -> int:
         return _told(chosen, "there is not enough memory for it", 1)
 
 
-def _run(verb: str, argv: Sequence[str]) -> int:
-    args = _parser([verb]).parse_args(argv)
-    code = int(import_module(VERBS[verb].module).run(args))
+def _run(verb: str | None, argv: Sequence[str]) -> int:
+    args = _parsed(verb, argv)
+    code = 0 if args is None else int(import_module(VERBS[args.verb].module).run(args))
     sys.stdout.flush()
     return code
+
+
+def _parsed(verb: str | None, argv: Sequence[str]) -> argparse.Namespace | None:
+    """What a verb was given; None without a verb, which the help answers."""
+    if verb in VERBS:
+        return _parser([verb]).parse_args(argv)
+    parser = _parser([])
+    if verb is not None:
+        parser.error(f"{plain(verb, 80)}: must be a verb. {nearest(verb, list(VERBS))}")
+    parser.check_options(argv)
+    parser.parse_args(argv)
+    parser.print_help()
+    return None
 
 
 def whole_parser() -> CommandParser:
@@ -147,10 +153,18 @@ def _parser(configured: Sequence[str | None]) -> CommandParser:
     return parser
 
 
-def _told(verb: str, text: str, code: int) -> int:
-    sys.stdout.flush()
-    print(f"jaxmpc {verb}: {plain(text)}", file=sys.stderr)
+def _told(verb: str | None, text: str, code: int) -> int:
+    try:
+        sys.stdout.flush()
+    except OSError:  # the disk is full, say: what is told then is told of that
+        _write_nowhere()
+    print(f"{' '.join(filter(None, ('jaxmpc', verb)))}: {plain(text)}", file=sys.stderr)
     return code
+
+
+def _write_nowhere() -> None:
+    """What Python still wants to flush at its end would fail once more."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _unread(descriptor: int) -> bool:

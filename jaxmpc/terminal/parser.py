@@ -2,6 +2,7 @@
 
 import argparse
 import re
+import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -32,6 +33,14 @@ class CommandParser(argparse.ArgumentParser):
             name = word.partition("=")[0]
             if word.startswith("--") and not any(each.startswith(name) for each in known):
                 self.error(f"{name}: must be a known option. {nearest(name, known)}")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Help that was asked for arrives, or the system's error is raised, which the standard library swallows."""
+        if file is not sys.stdout:
+            super()._print_message(message, file)
+        elif message:
+            file.write(message)
+            file.flush()
 
     def of_verb(self, verb: str) -> "CommandParser":
         """The parser of a verb."""
