@@ -54,7 +54,7 @@ def keep_in(folder: Path | None) -> None:
     _folder = folder
     if folder is not None:
         # Now: a source that changes while the process runs is not the one that it has imported.
-        _source("jaxmpc")
+        source_of("jaxmpc")
 
 
 def name_of(function: Callable[..., Any], arguments: dict[str, Any], static: dict[str, Any]) -> str | None:
@@ -70,7 +70,7 @@ def name_of(function: Callable[..., Any], arguments: dict[str, Any], static: dic
     leaves, tree = jax.tree.flatten(arguments)
     parts = [
         f"{function.__module__}.{function.__qualname__}",
-        *map(_source, sorted({"jaxmpc", function.__module__.partition(".")[0]})),
+        *map(source_of, sorted({"jaxmpc", function.__module__.partition(".")[0]})),
         *_surroundings(),
         str(jnp.result_type(float)),
         repr(sorted(static.items())),
@@ -198,8 +198,8 @@ def _machine() -> list[str]:
 
 
 @lru_cache
-def _source(package: str) -> str:
-    """Digest of every file of a package, or of a module that is a file."""
+def source_of(package: str) -> str:
+    """Digest of every file of a package, or of a module that is a file, as it was when this was first asked."""
     path = Path(str(sys.modules[package].__file__))
     files = [file for file in path.parent.rglob("*") if file.suffix != ".pyc"] if path.stem == "__init__" else [path]
     found = {file.relative_to(path.parent).as_posix(): file for file in files if file.is_file()}

@@ -205,7 +205,7 @@ def test_source_that_changed_misses(folder: Path, tmp_path: Path, monkeypatch: p
     law = importlib.import_module("kept_somewhere.law").law
 
     def name() -> str | None:
-        store._source.cache_clear()
+        store.source_of.cache_clear()
         return store.name_of(law, {"t": 1.0}, {})
 
     try:
@@ -213,7 +213,7 @@ def test_source_that_changed_misses(folder: Path, tmp_path: Path, monkeypatch: p
         (package / "arm.xml").write_text("<arm />")
         names.append(name())
     finally:
-        store._source.cache_clear()
+        store.source_of.cache_clear()
         del sys.modules["kept_somewhere"], sys.modules["kept_somewhere.law"]
     assert names[0] == names[1] != names[2]
 

@@ -75,6 +75,20 @@ def test_a_folder_with_the_state_of_another_job_is_refused_whatever_its_name(
     check_states(tmp_path, [spec.digest])
 
 
+def test_a_state_that_other_sources_have_left_is_refused(
+    spec: TuneSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a goal means may have changed between two of them: a search would go on from numbers of both."""
+    state = state_of([1.0], np.zeros((1, 1)), np.ones((1, 1)))
+    save(tmp_path, spec.digest, state)
+    load(tmp_path, spec.digest, state)
+    monkeypatch.setattr("tuning.search.state.source_of", lambda package: f"{package}, changed")
+    with pytest.raises(InputError, match=f"{tmp_path}.*this very program"):
+        check_states(tmp_path, [spec.digest])
+    with pytest.raises(InputError, match="this very program"):
+        load(tmp_path, spec.digest, state)
+
+
 def test_a_state_of_the_largest_search_is_read_again(tmp_path: Path) -> None:
     state = SearchState.new(np.zeros((1024, 8)), (), 601, (4, 1))
     save(tmp_path, "key", state)

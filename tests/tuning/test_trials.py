@@ -313,6 +313,9 @@ def test_blocks_are_kept_and_refused_to_others(
     damaged.write_bytes(whole)
     with pytest.raises(InputError, match="very trials"):
         trials.run(job(seed=1), 3, tmp_path)
+    monkeypatch.setattr(trials, "source_of", lambda package: f"{package}, changed")
+    with pytest.raises(InputError, match="this very program"):  # what a swing is may be something else there
+        trials.run(job(), 3, tmp_path)
 
 
 def test_what_cannot_be_tried_is_refused() -> None:

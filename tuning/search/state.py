@@ -13,6 +13,7 @@ from jaxmpc import __version__
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import SealError, seal, unseal, write_atomic
 from jaxmpc.loop.linear import HIGHEST_FORCE
+from jaxmpc.xla.store import source_of
 from tuning.objective.loss import Values
 
 NAME = "state.npz"
@@ -138,7 +139,7 @@ class SearchState:
 
 
 def check_states(folder: Path, keys: Collection[str]) -> None:
-    """Refuse a folder in which another job, or another version, has left the state of a search of whatever kind.
+    """Refuse a folder in which another job, or another program, has left the state of a search of whatever kind.
 
     Args:
         folder: Of the results.
@@ -153,24 +154,30 @@ def check_states(folder: Path, keys: Collection[str]) -> None:
 
 
 def _of_these(header: Mapping[str, Any], keys: Collection[str], folder: Path) -> None:
-    if header.get("spec") not in keys or header.get("version") != __version__:
-        raise InputError(
-            "-o", folder, "a new folder, or one of this very spec and version", "Choose another or remove it."
-        )
+    if header.get("spec") not in keys:
+        raise InputError("-o", folder, "a new folder, or one of this very spec", "Choose another or remove it.")
+    if any(header.get(key) != value for key, value in _program().items()):
+        remedy = "What it measures may have been something else before: choose another or remove it."
+        raise InputError("-o", folder, "a new folder, or one that this very program has begun", remedy)
+
+
+def _program() -> dict[str, str]:
+    """What made a state: numbers of two programs, which may mean different things, do not belong in one search."""
+    return {"version": __version__, "jaxmpc": source_of("jaxmpc"), "tuning": source_of("tuning")}
 
 
 def save(folder: Path, key: str, state: SearchState, name: str = NAME) -> None:
     """Write the state, whole or not at all."""
     arrays = {field.name: np.asarray(getattr(state, field.name)) for field in fields(state) if field.name != "memory"}
     arrays |= {f"memory_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state.memory))}
-    write_atomic(folder / name, seal({"kind": "jaxmpc tuning state", "spec": key, "version": __version__}, arrays))
+    write_atomic(folder / name, seal({"kind": "jaxmpc tuning state", "spec": key, **_program()}, arrays))
 
 
 def load(folder: Path, key: str, fresh: SearchState, name: str = NAME) -> SearchState:
     """The saved state of the same spec, or the fresh one where nothing is saved.
 
     Raises:
-        InputError: The folder holds the state of another spec or version, or a damaged one.
+        InputError: The folder holds the state of another spec or program, or a damaged one.
     """
     path = folder / name
     if not path.exists():
@@ -181,8 +188,6 @@ def load(folder: Path, key: str, fresh: SearchState, name: str = NAME) -> Search
         raise InputError(str(path), "damaged", "an intact state", f"{error}. Remove it to begin anew.") from None
     _of_these(header, (key,), folder)
     leaves, structure = jax.tree.flatten(fresh.memory)
-    if sum(name.startswith("memory_") for name in arrays) != len(leaves):
-        raise InputError(str(path), "of other metrics", "what this program measures", "Remove it to begin anew.")
     memory = jax.tree.unflatten(structure, [arrays.pop(f"memory_{i}") for i in range(len(leaves))])
     iteration, gained = (int(arrays.pop(name)[()]) for name in ("iteration", "gained"))
     return SearchState(memory=memory, **arrays, iteration=iteration, gained=gained)

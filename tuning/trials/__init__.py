@@ -24,6 +24,7 @@ from jaxmpc.files.errors import InputError, counted
 from jaxmpc.files.foreign import read_bytes
 from jaxmpc.files.sealed import LARGEST, SealError, seal, unseal, write_atomic
 from jaxmpc.terminal.progress import progress
+from jaxmpc.xla.store import source_of
 from tuning.trials import drawn
 from tuning.trials.compute import outcomes_of
 from tuning.trials.drawn import HARD, MOST, NOMINAL, Drawn, Job, Spread, joined, motion_of, on_own_tissues
@@ -60,7 +61,7 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False, to
         told: Hears of each block.
 
     Raises:
-        InputError: The count is out of bounds, or the folder holds blocks of another job.
+        InputError: The count is out of bounds, or the folder holds blocks of another job or program.
     """
     count = counted("trials", count, "10000 is usual.", 1, MOST)
     blocks: list[Outcomes] = []
@@ -93,10 +94,10 @@ def _all_blocks(job: Job, count: int, folder: Path | None) -> Iterator[tuple[int
 
 
 def _kept(job: Job, folder: Path | None, first: int) -> Outcomes | None:
-    """A block from its file; None where there is none, or a damaged one, or one of before something was measured.
+    """A block from its file; None where there is none, or a damaged one.
 
     Raises:
-        InputError: It is of other trials, or the system does not let it be read, whole or not.
+        InputError: It is of other trials or another program, or the system does not let it be read, whole or not.
     """
     if folder is None or not os.path.lexists(path := _file(folder, first)):
         return None
@@ -105,9 +106,13 @@ def _kept(job: Job, folder: Path | None, first: int) -> Outcomes | None:
     except SealError as error:
         log.warning("%s is computed again: %s", path.name, error)
         return None
-    if said != _header(job, first):
+    own = _header(job, first)
+    if any(said.get(key) != own[key] for key in ("kind", "job", "first")):
         raise InputError("output folder", folder, "one of these very trials", "Choose another with -o.")
-    return Outcomes(**arrays) if arrays.keys() == set(Outcomes._fields) else None
+    if said != own:
+        remedy = "What it measures may have been something else before: choose another with -o."
+        raise InputError("output folder", folder, "one that this very program has begun", remedy)
+    return Outcomes(**arrays)
 
 
 def _file(folder: Path, first: int) -> Path:
@@ -115,4 +120,5 @@ def _file(folder: Path, first: int) -> Path:
 
 
 def _header(job: Job, first: int) -> dict[str, object]:
-    return {"kind": "jaxmpc trials", "job": job.digest, "first": first}
+    made_by = {package: source_of(package) for package in ("jaxmpc", "tuning")}
+    return {"kind": "jaxmpc trials", "job": job.digest, "first": first, **made_by}
