@@ -1,20 +1,49 @@
 """The verdict on a result: which goals are met, on what, beside whom, and by whose word."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
-from tuning import TuneResult, report
+from jaxmpc.metrics import Metrics
+from tuning import TuneResult, TuneSpec, report
+from tuning.objective.problem import problem_of, training
 from tuning.proof.reached import STUDY, Row, rows, verdict
+from tuning.search.run import Step
+from tuning.search.state import SearchState
+
+Job = Callable[..., dict[str, Any]]
 
 
 def test_a_goal_that_held_in_training_alone_is_told(result: TuneResult, monkeypatch: pytest.MonkeyPatch) -> None:
     known, missed = rows(result), Row("chatter", True, 1.2, (0.8, 1.207), 1900.0)
     monkeypatch.setattr("tuning.proof.reached.rows", lambda _: [*known, missed])
     assert verdict(result) == "all hard goals are met in training; held out, missed: chatter ≤ 1.2 m/s²"
+
+
+def test_a_goal_of_the_runs_is_missed_where_it_stands_worst_not_where_the_soft_goals_do(
+    small: Job, result: TuneResult
+) -> None:
+    """Effort on the middle tissue; the residual on the first."""
+    goals = {"M_s": 2.0, "effort": 1.0, "ideal": False, "soft": {"rms": 0.1}}
+    spec = TuneSpec.from_dict(small(tune={"margin_points": 5}, goals=goals))
+    problem = problem_of(spec, training(spec, (0,)))
+    cells = Metrics(*(np.array([0.3, 0.2, 0.1])[None, :, None, None] * np.ones((2, 3, 1, 3)) for _ in Metrics._fields))
+    cells.effort[:, 1] = 1.5
+    state = SearchState.new(spec.space.draw(2, 0), None, 1, (2, 1))
+    numbers = {"score": np.ones(2), "worst": np.full(2, 0.3), "tissue": np.zeros(2, int), "cells": cells}
+    hard = np.array([[0.9, 1.5], [0.9, 1.6]])
+    seen: Any = SimpleNamespace(**numbers, M_s=np.ones((2, 3)), hard=hard, soft=np.ones((2, 1)))
+    state.record(seen, exact=True, worth=0.0, hard_at=problem.hard_at(cells))
+    state.iteration += 1
+    missed = replace(result, spec=spec, feasible=state.feasible, steps=[Step("linear", problem, state)])
+    found = "no point meets every goal: effort ≤ 1 m/s² is missed by 0.5 m/s² in training, worst on 810 N/m"
+    assert missed.unmet() == f"{found} by the point that came closest"
 
 
 def test_what_freezing_refuses_is_not_met(result: TuneResult) -> None:

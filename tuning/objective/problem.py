@@ -19,7 +19,7 @@ from jaxmpc.loop.linear import HIGHEST_FORCE
 from jaxmpc.metrics import Metrics
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of, stacked
 from jaxmpc.xla.blocks import OverDevices
-from tuning.job.goals import RATIO, RUN_GOALS
+from tuning.job.goals import OVERSHOOT, RATIO, RUN_GOALS, run_goals
 from tuning.job.scenarios import scenarios, scene_over
 from tuning.job.space import SearchSpace
 from tuning.job.spec import TuneSpec
@@ -94,6 +94,23 @@ class Problem(NamedTuple):
     def hard_goals(self) -> tuple[str, ...]:
         """Those on the runs that can be seen."""
         return visible_goals(self.data.hard, self.data)
+
+    def hard_at(self, cells: Metrics) -> np.ndarray:
+        """Where each of these stands worst, index into the stiffnesses; NaN of the overshoot, which no run tells.
+
+        Args:
+            cells: What was measured of the starts, each field (starts, stiffness, scenarios, 3).
+
+        Returns:
+            (starts, goals); a tissue on which a run was lost comes first.
+        """
+        found = np.full((len(cells.rms), len(self.hard_goals)), np.nan)
+        plain, reference = jax.tree.map(np.asarray, (cells, self.data.reference))
+        for i, name in enumerate(self.hard_goals):
+            if name != OVERSHOOT:
+                goal = np.asarray(run_goals(plain, reference, None, {name: 1.0})[name])
+                found[:, i] = np.argmax(goal.max(axis=(2, 3)), axis=1)
+        return found
 
     def with_limits(self, limits: Mapping[str, np.ndarray]) -> "Problem":
         """The same with hard limits of each start's own, (starts,)."""

@@ -128,8 +128,9 @@ class TuneResult(FoundController):
         if name in limits:
             where = f" at {judged.place(int(np.argmax(normalised[list(limits).index(name)])))}"
         else:
-            K_s = self.spec.experiment.stiffness[int(step.state.tissue[last, step.state.leader])]
-            where = f" in training, worst on {K_s:g} N/m"
+            at = step.state.hard_at[last, step.state.leader, [*limits, *step.problem.hard_goals].index(name)]
+            where = " in training"
+            where += f", worst on {self.spec.experiment.stiffness[int(at)]:g} N/m" if np.isfinite(at) else ""
         return (
             f"no point meets every goal: {name} {goal.sign} {goal.amount(limit)} is missed by "
             f"{goal.amount(abs(found - limit), '.3g')}{where} by the point that came closest"

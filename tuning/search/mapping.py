@@ -80,7 +80,7 @@ def refine(
     with progress("tune (mapping)", rounds, "rounds", show) as tick:
         while state.iteration < rounds and not state.stalled(PATIENCE, 0):
             values = problem.evaluate(state.z)
-            state.record(values, exact=True, worth=WORTH)
+            state.record(values, True, WORTH, problem.hard_at(values.cells))
             state.memory = _entered(state.memory, state.iteration, state.z, values, spectra)
             state.iteration += 1
             tick(state.iteration, note(spec, state))

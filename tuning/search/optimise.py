@@ -112,7 +112,7 @@ def descend(
                 # What Adam remembers of soft horizons would push the whole ones around.
                 state.memory = begin(jnp.asarray(state.z))
             values = problem.differentiate(state.z, float(plan.widths[i]))
-            state.record(values, exact=plan.widths[i] == 1.0, worth=WORTH)
+            state.record(values, plan.widths[i] == 1.0, WORTH, problem.hard_at(values.cells))
             moved, state.memory, usable = update(state.z, state.memory, values.gradient, plan.rates[i])
             state.z = np.asarray(moved)
             state.skipped += ~np.asarray(usable)

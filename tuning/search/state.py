@@ -55,6 +55,9 @@ class SearchState:
     """M_s at the worst stiffness per iteration and start [-]."""
     hard: np.ndarray
     """Hard goals per iteration, start and goal [-]."""
+    hard_at: np.ndarray
+    """Where each of them on the runs stood worst, likewise, index into the stiffnesses; NaN for margins and what no run
+    tells."""
     soft: np.ndarray
     """Soft goals per iteration, start and goal [-]."""
     path: np.ndarray
@@ -85,6 +88,7 @@ class SearchState:
             tissue=rows(starts),
             M_s=rows(starts),
             hard=rows(starts, goals[0]),
+            hard_at=rows(starts, goals[0]),
             soft=rows(starts, goals[1]),
             path=rows(starts, size),
             incumbent=rows(),
@@ -106,18 +110,21 @@ class SearchState:
         vector: np.ndarray = (self.best_z if self.feasible else self.closest_z)[self.leader]
         return vector
 
-    def record(self, values: Values, exact: bool, worth: float) -> None:
+    def record(self, values: Values, exact: bool, worth: float, hard_at: np.ndarray | None = None) -> None:
         """Enter one iteration into the histories; with whole horizons it may hold the best so far.
 
         Args:
             values: What was seen at `z`.
             exact: Whether the horizons were whole: only then the goals are those of a real controller.
             worth: Relative gain from which on it counts against the patience.
+            hard_at: `Problem.hard_at` of it; None tells nothing.
         """
         i = self.iteration
         self.score[i], self.worst[i], self.tissue[i] = values.score, values.worst, values.tissue
         self.M_s[i], self.hard[i], self.soft[i] = values.M_s.max(axis=1), values.hard, values.soft
         self.path[i] = self.z
+        if hard_at is not None:
+            self.hard_at[i, :, values.hard.shape[1] - hard_at.shape[1] :] = hard_at
         if exact:
             # A start that left the finite numbers, or 1 kN, is as far from its goals as can be.
             # Spectra know no peaks: what is no number there was not measured.
