@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.structure import IDLE
 from jaxmpc.world.tissue import LAWS
 from sweeps.goal import ON_ARM, SWING
 from sweeps.space import SweepSpace
@@ -57,10 +58,6 @@ NEEDS: Mapping[str, Need] = MappingProxyType(
     }
 )
 """By key; of a vector for each of its entries."""
-IDLE: Mapping[str, frozenset[str]] = MappingProxyType(
-    {"aob": frozenset({"lam", "delta", "Hp", "Hu"}), "mpc": frozenset({"T_cl"})}
-)
-"""Parameters that an architecture leaves without effect."""
 
 
 def check_controller(space: SweepSpace, params: Params) -> None:

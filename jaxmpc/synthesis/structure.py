@@ -1,5 +1,7 @@
 """What of a controller is no number to be tuned, and which of it goes together."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 from jaxmpc.files.errors import InputError, nearest
@@ -12,6 +14,10 @@ Delay = Literal[1, 2]
 SHARED = ("architecture", "disturbance_order", "designed_delay")
 STRUCTURE = (*SHARED, "guarded", "listening")
 """What needs a program of its own; the first of it knots share."""
+IDLE: Mapping[str, frozenset[str]] = MappingProxyType(
+    {"aob": frozenset({"lam", "delta", "Hp", "Hu"}), "mpc": frozenset({"T_cl"})}
+)
+"""Parameters that an architecture leaves without effect."""
 
 
 def check_structure(params: Any) -> None:

@@ -15,7 +15,8 @@ VALUES = np.random.default_rng(0).uniform(0.5, 2.0, (3, 10))
 
 def test_kinds_are_what_their_names_say() -> None:
     def over(kind: Any, share: float = 0.25) -> np.ndarray:
-        return np.asarray(Risk(kind=kind, share=share).over(jnp.asarray(VALUES)))
+        risk = Risk(kind, share) if kind == "cvar" else Risk(kind)
+        return np.asarray(risk.over(jnp.asarray(VALUES)))
 
     np.testing.assert_allclose(over("mean"), VALUES.mean(axis=1))
     np.testing.assert_allclose(over("worst"), VALUES.max(axis=1))

@@ -114,6 +114,9 @@ WRONG = {
     "frozen diagonal": ('[tune]\ndiagonals = ["delta"]', "tune.diagonals", "free", 2),
     "diagonal as one number": ("[params]\nlam = [0.1, 0.2]", "params.lam", "one number", 2),
     "ideal in words": ('[goals]\nideal = "yes"', "goals.ideal", "true or false", 2),
+    "a share of no part": ("[risk]\nshare = 0.1", "risk.share", 'given for "cvar" only', 2),
+    "a share of the worst": ('[risk]\nkind = "worst"\nshare = 0.25', "risk.share", 'given for "cvar" only', 3),
+    "rounds without an arm": ("[tune]\nmapping = 3", "tune.mapping", "given on the arm only", 2),
     "compensation in words": ("[baseline]\ncompensation = true", "baseline.compensation", "in [0, 2]", 2),
 }
 
@@ -128,6 +131,9 @@ def test_a_wrong_spec_is_refused(tmp_path: Path, text: str, key: str, says: str,
     assert caught.value.line == line
 
 
+ON_ICE = {"experiment": {"published": "table-1-wam", "arm": {"coulomb": [0.0] * 4, "viscous": [0.0] * 4}}}
+
+
 @pytest.mark.parametrize(
     ("table", "key"),
     [
@@ -136,6 +142,10 @@ def test_a_wrong_spec_is_refused(tmp_path: Path, text: str, key: str, says: str,
         ({"params": {"published": "mpc-alone"}, "tune": {"orders": [1, 2]}}, "disturbance_order"),
         ({"params": {"published": "mpc-alone"}, "tune": {"free": {"Hp": [1, 64]}}}, "tune.free.Hp"),
         ({"params": {"guarded": True}}, "params.guarded"),
+        ({"params": {"architecture": "aob"}, "tune": {"free": {"K2": True, "lam": True}}}, "tune.free.lam"),
+        ({"params": {"published": "mpc-alone"}, "tune": {"free": {"T_cl": [1e-3, 1e-2]}}}, "tune.free.T_cl"),
+        ({"tune": {"orders": [1, 2], "free": {"lam": True}}}, "tune.orders"),
+        ({**ON_ICE, "scenarios": {"friction": 0.3}}, "scenarios.friction"),
         ({"baseline": {"compensation": 0.5}}, "baseline.compensation"),
         ({"goals": {"joint_torque": 30.0}}, "goals.joint_torque"),
         ({"goals": {"soft": {"clamped_ratio": 0.5}}}, "goals.soft.clamped_ratio"),
@@ -158,6 +168,18 @@ def test_a_baseline_that_says_nothing_of_its_parameters_has_those_of_the_job() -
     assert uncompensated.baseline_compensation == 0.0
     other = TuneSpec.from_dict({**table, "baseline": {"published": "text", "compensation": 0.0}})
     assert other.before.to_dict() == Params.published("text").to_dict()
+
+
+def test_what_an_architecture_does_not_have_is_not_free_by_default() -> None:
+    """The tuner would move numbers that no loop depends on, and tell of them."""
+    assert set(FREE) - set(TuneSpec.from_dict({"params": {"architecture": "aob"}}).free) == {"lam", "Hp", "Hu"}
+    assert set(FREE) - set(TuneSpec.from_dict({"params": {"published": "mpc-alone"}}).free) == {"T_cl"}
+
+
+def test_the_risk_of_a_job_tells_what_it_has_and_nothing_else() -> None:
+    assert TuneSpec.from_dict({}).to_dict()["risk"] == {"kind": "soft-worst"}
+    assert TuneSpec.from_dict({"risk": {"kind": "cvar"}}).to_dict()["risk"] == {"kind": "cvar", "share": 0.25}
+    assert TuneSpec.from_dict({"risk": {"kind": "cvar", "share": 0.5}}).resolved()["risk"] == "kind cvar, share 0.5"
 
 
 def test_what_scenarios_and_horizons_may_have_is_taken() -> None:

@@ -11,6 +11,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError, nearest, within
 from jaxmpc.quantities import FILTERS, PARAMETERS
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.structure import IDLE
 from jaxmpc.synthesis.values import least_horizon
 from tuning.job.space import KNOTS, Bounds, FreeParameter, axis_of
 
@@ -99,12 +100,15 @@ def begun(params: Params, axes: Collection[FreeParameter], experiment: Experimen
 
 
 def check_axis(axis: FreeParameter, params: Params) -> None:
-    """Refuse bounds that a parameter cannot have, or that leave out the start.
+    """Refuse a parameter that its architecture leaves without effect, and bounds that cannot be or leave out the start.
 
     Raises:
         InputError: Names key, value, bound and remedy.
     """
     key, row = f"tune.free.{axis.name}", PARAMETERS[axis.parameter]
+    if axis.parameter in IDLE.get(params.architecture, ()):
+        remedy = f"Leave it out, or take another architecture than {params.architecture}."
+        raise InputError(key, "free", "left out where the controller does not have the part that it is of", remedy)
     (low, high), bounds = row.bounds, [axis.low, axis.high]
     if axis.parameter == "Hp":
         low = least_horizon(params.architecture)

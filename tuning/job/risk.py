@@ -8,11 +8,14 @@ import msgspec
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxmpc.files.errors import InputError
 from jaxmpc.xla.extremes import greatest
 from jaxmpc.xla.plain import library
 
 ORDER = 24
 """Order of the mean that stands for the worst case: equal to it where all cells are, 10 % below for one of 12 alone."""
+QUARTER = 0.25
+"""Share of the worst unless a job gives another [-]."""
 
 
 class Risk(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -21,8 +24,15 @@ class Risk(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     kind: Literal["mean", "worst", "soft-worst", "cvar"] = "soft-worst"
     """"mean"; "worst", the maximum; "soft-worst", a mean of high order, whose slope knows all bad scenarios; "cvar",
     the mean of the worst part (Rockafellar and Uryasev 2000)."""
-    share: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.25
-    """That part, of "cvar" alone [-]."""
+    share: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] | None = None
+    """That part, of "cvar" alone, where None is a quarter [-]."""
+
+    def __post_init__(self) -> None:
+        if self.kind == "cvar":
+            msgspec.structs.force_setattr(self, "share", QUARTER if self.share is None else self.share)
+        elif self.share is not None:
+            remedy = f'Set kind = "cvar", or remove it: of "{self.kind}" there is no part.'
+            raise InputError("risk.share", self.share, 'given for "cvar" only', remedy)
 
     def over(self, values: Float[Array | np.ndarray, "... scenarios"]) -> Any:
         """The risk of positive values along the last dimension, (…); traceable, differentiable."""
@@ -34,6 +44,7 @@ class Risk(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             case "soft-worst":
                 return soft_worst(values)
             case "cvar":
+                assert self.share is not None
                 return _worst_part(jnp.asarray(values), self.share)
 
 

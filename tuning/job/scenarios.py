@@ -75,6 +75,10 @@ class Scenarios(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             except InputError as error:
                 key, remedy = "scenarios.cable_hz", f"{error.remedy.rstrip('.')} in [experiment], or lower it."
                 raise InputError(key, list(self.cable_hz), error.bound, remedy) from None
+        arm = experiment.arm
+        if self.friction and experiment.physics != "linear" and not any((*arm.coulomb, *arm.viscous)):
+            remedy = "Remove it, or give the joints friction."
+            raise InputError("scenarios.friction", self.friction, "given where the arm has friction", remedy)
         if experiment.physics == "linear":
             for key in ("friction", "mass", "stiffness", "delays", "cable_hz"):
                 if value := getattr(self, key):

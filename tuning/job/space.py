@@ -20,6 +20,7 @@ from scipy.special import expit
 
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 from jaxmpc.synthesis.params import Params
+from jaxmpc.synthesis.structure import IDLE
 from jaxmpc.xla.plain import library
 
 Bounds = tuple[float, float]
@@ -195,6 +196,12 @@ def _moved(params: Params, values: dict[str, Any], width: Any) -> Params:
     whole["Hu"] = xp.minimum(whole["Hu"], whole["Hp"])
     found |= {name: xp.where(width > 1.0, found[name], whole[name]) for name in HORIZONS}
     return replace(params, **found)
+
+
+def usual(params: Params) -> list[str]:
+    """What is free of a controller by default: of a family what its knots have, of others all that acts in them."""
+    names = FREE_OF_KNOTS if params.knots else FREE
+    return [name for name in names if name.rpartition(".")[2] not in IDLE.get(params.architecture, ())]
 
 
 def axis_of(

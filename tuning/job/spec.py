@@ -73,6 +73,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         if not self.free:
             raise InputError("tune.free", "empty", "at least one parameter", f"Free by default: {', '.join(FREE)}.")
         check_sampling(self.params, self.experiment.sampling_time)
+        self._check_orders()
         self._check_knots()
         self._check_arm()
         for key, prefix in (("diagonals", ""), ("tied", KNOTS)):
@@ -97,6 +98,13 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
         except InputError as error:
             raise InputError(f"tune.{error.key}", error.value, error.bound, error.remedy) from None
 
+    def _check_orders(self) -> None:
+        """Refuse other orders than that of the parameters where Q_p stays: each order has one of its own."""
+        others = [order for order in self.tune.orders if order != self.params.disturbance_order]
+        if others and not self.params.knots and "Q_p" not in self.free:
+            bound = f"the order of params (= {self.params.disturbance_order}) alone where Q_p is not free"
+            raise InputError("tune.orders", list(self.tune.orders), bound, "Add `Q_p = true` to [tune.free].")
+
     def _check_arm(self) -> None:
         """Refuse what only an arm can have, and what no robot's arm has."""
         if self.ideal and self.experiment.limited:
@@ -107,6 +115,9 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             raise InputError("goals.ideal", True, "false on an arm with a robot's limits", remedy)
         if self.on_arm:
             return
+        if self.tune.mapping != TuneSettings().mapping:
+            remedy = 'Set experiment.physics = "wam" or remove it: runs of the linear loop need no spectra.'
+            raise InputError("tune.mapping", self.tune.mapping, "given on the arm only", remedy)
         for key, goals in self._goals():
             refuse_goals_of_joints(goals, key)
         remedy = 'Tune it on the arm, experiment.physics = "wam"; freezing refuses it too.'
@@ -249,7 +260,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
             "tune": {**msgspec.to_builtins(self.tune), "free": free},
             "goals": {**self.held, "ideal": self.ideal, "soft": dict(self.soft)},
             "scenarios": msgspec.to_builtins(self.scenarios),
-            "risk": msgspec.to_builtins(self.risk),
+            "risk": {key: value for key, value in msgspec.to_builtins(self.risk).items() if value is not None},
             "pareto": {name: list(limits) for name, limits in self.pareto.items()},
         }
 

@@ -12,7 +12,7 @@ from tuning.job.axes import free_table
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
-from tuning.job.space import FREE, FREE_OF_KNOTS
+from tuning.job.space import usual
 
 HARD = {"M_s": HIGHEST_M_S}
 """What is held unless the job says otherwise."""
@@ -33,7 +33,7 @@ def read_tables(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     known_tables(data, ("experiment", "params", "baseline", "tune", "goals", "scenarios", "risk", "pareto"))
     tune, goals = dict(data.get("tune", {})), dict(data.get("goals", {}))
     params = params_table(data.get("params", {}), folder)
-    free = free_table(tune.pop("free", dict.fromkeys(FREE_OF_KNOTS if params.knots else FREE, True)))
+    free = free_table(tune.pop("free", dict.fromkeys(usual(params), True)))
     for kind, table, name in (
         (TuneSettings, tune, "tune"),
         (Scenarios, data.get("scenarios", {}), "scenarios"),
