@@ -1,6 +1,6 @@
 """Controllers side by side on scenarios that no tuner saw."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -77,16 +77,32 @@ def standing_of(spec: TuneSpec, after: Metrics, before: Metrics) -> float:
         after: Of the controller to judge, each field (scenarios, stiffness, 3).
         before: Of the controller before tuning, the same.
     """
-    asked = {name: limit for name, limit in spec.soft.items() if name != OVERSHOOT} or {"rms": 1.0}
-    swapped, reference = jax.tree.map(lambda field: np.swapaxes(field, 0, 1), (after, before))
-    goals = run_goals(swapped, reference, None, asked)
-    largest = np.max([np.asarray(goal).max(axis=2) for goal in goals.values()], axis=0)
+    largest = _largest(
+        {name: spec.soft[name] for name in spec.soft if name != OVERSHOOT} or {"rms": 1.0}, after, before
+    )
     if np.isnan(largest).any():
         return np.inf
     if spec.params.listening is None:
         return float(spec.risk.over(largest.max(axis=0)))
     # A knot serves its own tissue, so each counts, as in the search.
     return float(np.exp(np.mean(np.log(np.asarray(spec.risk.over(largest))))))
+
+
+def missed_by(spec: TuneSpec, after: Metrics, before: Metrics) -> float:
+    """The largest hard goal of the runs, at most 1 where all are held [-]; ∞ where a run was lost. Rest as above.
+
+    The overshoot is the linear loop's: no scenario has another.
+    """
+    asked = {name: limit for name, limit in spec.hard_goals.items() if name != OVERSHOOT}
+    return float(np.nan_to_num(_largest(asked, after, before).max(), nan=np.inf)) if asked else 0.0
+
+
+def _largest(asked: Mapping[str, float], after: Metrics, before: Metrics) -> np.ndarray:
+    """The largest of some goals, normalised, (stiffness, scenarios) [-]; NaN where a run was lost."""
+    swapped, reference = jax.tree.map(lambda field: np.swapaxes(field, 0, 1), (after, before))
+    goals = run_goals(swapped, reference, None, asked)
+    largest: np.ndarray = np.max([np.asarray(goal).max(axis=2) for goal in goals.values()], axis=0)
+    return largest
 
 
 def compile_ahead(controllers: Sequence[Params], experiments: Sequence[Experiment], engine: str | None = None) -> None:

@@ -11,9 +11,10 @@ from jaxmpc.stability import Margins
 from jaxmpc.stability.family import family_margins, judged_where
 from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.place import on_cpu
+from tuning.job.goals import margin_goals
 from tuning.job.spec import TuneSpec
 from tuning.search.run import SearchHistory, Step
-from tuning.search.state import SearchState
+from tuning.search.state import FEASIBLE, SearchState
 
 KINDS = {"as run": False, "ideal": True}
 """Names of the two kinds of margins, and whether the damping is ideal."""
@@ -65,6 +66,13 @@ class FoundController:
         parts = [JudgedMargins(fixed, at, np.full(len(at), np.nan)), self.known[which]]
         whole: JudgedMargins = jax.tree.map(lambda *leaves: np.concatenate(leaves), *filter(None, parts))
         return whole
+
+    @property
+    def proven(self) -> bool:
+        """Whether it is stable with every margin that is a goal, wherever margins are judged."""
+        found = self.judged(1).margins
+        goals = np.asarray(margin_goals(found, self.spec.margin_goals).normalised)
+        return bool((goals <= FEASIBLE).all() and (np.asarray(found.spectral_radius) < 1.0).all())
 
     def stable(self, ideal: bool) -> np.ndarray:
         """Whether the loop is stable on each of the experiment's tissues, to a family known, (2, stiffness).

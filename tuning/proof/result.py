@@ -17,7 +17,7 @@ from jaxmpc.xla.precision import in_float64
 from tuning.job.goals import GOALS, margin_goals
 from tuning.job.scenarios import scenarios
 from tuning.job.spec import TuneSpec
-from tuning.objective.comparison import standing_of, versus
+from tuning.objective.comparison import missed_by, standing_of, versus
 from tuning.proof.flyable import refusal
 from tuning.proof.found import FoundController, found_of
 from tuning.search.run import SearchHistory
@@ -59,10 +59,7 @@ class TuneResult(FoundController):
     @property
     def met(self) -> bool:
         """Whether it holds every hard goal, to the proof as to the search, and freezing accepts it for a robot."""
-        found = self.judged(1).margins
-        goals = np.asarray(margin_goals(found, self.spec.margin_goals).normalised)
-        proven = (goals <= FEASIBLE).all() and (np.asarray(found.spectral_radius) < 1.0).all()
-        return self.feasible and not self.refused and bool(proven)
+        return self.feasible and not self.refused and self.proven
 
     @property
     def held(self) -> np.ndarray:
@@ -156,9 +153,9 @@ def assess_and(
     candidates = _ranked(spec, state, show) if state.feasible else [spec.space.exact(state.leader_z)]
     met = scenarios(spec.experiment, spec.scenarios, spec.tune.heldout_seeds)
     with Beside(2) as beside:
-        flying = beside.submit(in_float64(_first_to_fly), spec, candidates) if state.feasible else None
-        # The best is rarely refused: it is proven and explained meanwhile.
         found = found_of(history, candidates[0])
+        flying = beside.submit(in_float64(_first_to_fly), history, candidates, found) if state.feasible else None
+        # The best is rarely refused: it is proven and explained meanwhile.
         explaining = beside.submit(in_float64(explain), found)
         before, (after,) = versus(spec, candidates[:1], met, show)
         chosen, refused = flying.result() if flying else (0, "")
@@ -171,22 +168,35 @@ def assess_and(
 
 
 def _ranked(spec: TuneSpec, state: SearchState, show: bool) -> list[Params]:
-    """The best controller of each start, the best first: on the validation scenarios, or without any in training."""
+    """The best controller of each start, the best first: on the validation scenarios, or without any in training.
+
+    Runs of validation are as long as the experiment: who misses a hard goal there comes after who holds them all, the
+    one that comes closest first.
+    """
     order = np.argsort(state.best, kind="stable")[: min(spec.tune.starts, np.isfinite(state.best).sum())]
-    candidates, value = [*map(spec.space.exact, state.best_z[order])], state.best[order]
+    candidates, value, missed = [*map(spec.space.exact, state.best_z[order])], state.best[order], np.zeros(len(order))
     if spec.tune.validation_seeds:
         met = scenarios(spec.experiment, spec.scenarios, spec.tune.validation_seeds)
         before, each = versus(spec, candidates, met, show)
-        value = np.array([standing_of(spec, one, before) for one in each])
-    return [candidates[i] for i in np.argsort(value, kind="stable")]
+        value, missed = np.array([(standing_of(spec, one, before), missed_by(spec, one, before)) for one in each]).T
+    return [candidates[i] for i in np.lexsort((value, np.maximum(missed, FEASIBLE)))]
 
 
-def _first_to_fly(spec: TuneSpec, candidates: list[Params]) -> tuple[int, str]:
-    """Place of the best that freezing accepts; else of the very best, and why it is refused."""
+def _first_to_fly(history: SearchHistory, candidates: list[Params], best: FoundController) -> tuple[int, str]:
+    """Place of the best that freezing accepts and that keeps its margins where the proof judges them, more than search.
+
+    Args:
+        history: The search.
+        candidates: The best first.
+        best: That one, with its margins.
+
+    Returns:
+        Else the place of the very best, and why freezing refuses it.
+    """
     first = ""
     for i, params in enumerate(candidates):
-        refused = refusal(spec, params)
-        if not refused:
+        refused = refusal(history.spec, params)
+        if not refused and (found_of(history, params) if i else best).proven:
             return i, ""
-        first = first or refused
+        first = first if i else refused
     return 0, first
