@@ -224,6 +224,8 @@ def test_motions_robots_and_controllers_find_their_places(monkeypatch: pytest.Mo
         def run(wave: Sequence[Met], shared: Any) -> Any:
             met = Met(*map(np.concatenate, zip(*wave, strict=True)))
             assert len(met.own) == motions
+            # Of several XLA makes another program, with other bits: what one does would depend on who is beside it.
+            assert len(shared.params.K2) == 1
             K2 = np.broadcast_to(shared.params.K2, (*met.own.shape[:2], len(shared.params.K2)))
             # Of what varies, stiffness alone lies here.
             leaves = np.moveaxis(met.own, -1, 0)
@@ -244,6 +246,17 @@ def test_motions_robots_and_controllers_find_their_places(monkeypatch: pytest.Mo
         trial = given.trial(i)
         np.testing.assert_array_equal(met, trial.stiffness[0])
         np.testing.assert_array_equal(noise, np.tile(trial.signals.noise[7], (3, 1)))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("few")
+def test_no_bit_of_a_trial_depends_on_who_else_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Text on stress arms, where what is lost tells the last bit."""
+    monkeypatch.setattr(drawn, "DURATION", 4.0)
+    alone = trials.run(job(), 3 * BLOCK)
+    beside = trials.run(job(Params.published("cautious"), Params()), 2 * BLOCK)
+    for name, one, other in zip(Outcomes._fields, alone, beside, strict=True):
+        np.testing.assert_array_equal(one[: 2 * BLOCK, 0], other[:, 1], err_msg=name)
 
 
 @pytest.mark.oracle

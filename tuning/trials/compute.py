@@ -21,7 +21,7 @@ from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.experiment.build import robot_on_its_tissue
 from jaxmpc.loop.arm import ArmSignals
 from jaxmpc.stability import whole_arm
-from jaxmpc.synthesis.params import Params, by_structure
+from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.precision import in_float64
 from tuning.trials import drawn
 from tuning.trials.drawn import Job
@@ -49,10 +49,8 @@ class Constants(NamedTuple):
 
 
 class _Program(NamedTuple):
-    """Controllers of one structure."""
+    """One controller's; those of one structure are calls of one compiled program."""
 
-    members: tuple[int, ...]
-    """Which of the job's they are."""
     run: Callable[[tuple[Met, ...], Shared], Any]
     shared: Shared
 
@@ -150,22 +148,17 @@ def _programs(job: Job, constants: Constants, size: int) -> list[_Program]:
     base = job.trial(0)
     spec = named(fastest(program_spec(base)), job.engine)
     run = wave_program(spec, constants.varied, constants.structure, size * drawn.POOL)
-    programs = []
-    for members in by_structure(job.controllers):
-        batch = Params.stack([job.controllers[i] for i in members])
-        shared = Shared(batch, constants.robot, constants.signals, base.loop_path(), base.force_limit)
-        programs.append(_Program(tuple(members), run, shared))
-    return programs
+    path, limit = base.loop_path(), base.force_limit
+    # Each alone: of several at a time XLA makes another program, with other bits, and who is tried beside would matter.
+    alone = (Params.stack([params]) for params in job.controllers)
+    return [_Program(run, Shared(one, constants.robot, constants.signals, path, limit)) for one in alone]
 
 
 @in_float64
 def _ran(programs: list[_Program], blocks: int, met: tuple[Met, ...]) -> Outcomes:
     """What came of so many blocks of a wave, one after another; nobody has asked the whole arm yet."""
-    fields: dict[int, list[np.ndarray]] = {}
-    for program in programs:
-        found = [np.asarray(field) for field in program.run(met, program.shared)]
-        fields |= {i: [field[:, :, c] for field in found] for c, i in enumerate(program.members)}
-    stacked = [np.stack(each, 2) for each in zip(*(fields[i] for i in sorted(fields)), strict=True)]
+    of_each = [[np.asarray(field) for field in program.run(met, program.shared)] for program in programs]
+    stacked = [np.concatenate(each, 2) for each in zip(*of_each, strict=True)]
     cut = -1, drawn.POOL, drawn.COPIES
     # Motions led; trial first + POOL·copy + motion.
     flat = [field.reshape(*cut, *field.shape[2:]).swapaxes(1, 2)[:blocks] for field in stacked]
