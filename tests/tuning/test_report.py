@@ -151,6 +151,8 @@ def test_a_parameter_that_rests_at_its_bound_is_told(result: TuneResult, study: 
         f"Q_p rests at its bound of {axes['Q_p'].high:g} (m/s²)²/N²",
         f"Hp rests at its bound of {axes['Hp'].high:g} samples",
     ]
+    assert f"Q_p rests at its bound of {axes['Q_p'].high:g} (m/s²)²/N².\n" in report(resting), "in the text, too"
+    assert "rests at" not in report(result)
 
 
 @pytest.mark.oracle

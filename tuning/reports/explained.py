@@ -15,10 +15,8 @@ from tuning.proof.result import TuneResult
 from tuning.proof.sensitivities import Sensitivities, sensitivities
 from tuning.proof.split import CAUSES, Split, split
 from tuning.reports.charts import sensitivity_charts, split_charts
+from tuning.reports.sections import at_bounds
 from tuning.search.state import FEASIBLE
-
-AT_BOUND = 0.01
-"""A parameter nearer to a bound, as a share of its room, rests there: it has a 25th of its slope in the middle [-]."""
 
 
 class Study(NamedTuple):
@@ -57,12 +55,8 @@ def limits_text(result: TuneResult, found: Study) -> Iterator[str]:
             line += f" With its limit relaxed by {100 * RELAXED:.0f} % the score would fall by some "
             line += f"{100 * goal.gain:.1f} % (multiplier {goal.multiplier:.2f}, to first order)."
         yield line
-    for axis in result.spec.space.axes:
-        share = np.ravel(axis.share(axis.of(result.params)))
-        for bound, rests in ((axis.low, share < AT_BOUND), (axis.high, share > 1.0 - AT_BOUND)):
-            if rests.any():
-                at = f"{bound:g} {axis.unit}".removesuffix(" -")
-                yield f"{axis.name} rests at its bound of {at}: no slope and no price here tells what lies beyond."
+    for resting in at_bounds(result):
+        yield f"{resting}: no slope and no price here tells what lies beyond."
     if not found.limits.active:
         yield "No hard goal is active: more steps, wider bounds or another structure may improve it."
     if np.isfinite(found.limits.unexplained):

@@ -17,6 +17,9 @@ from tuning.proof.reached import kept, rows, verdict
 from tuning.proof.result import TuneResult
 from tuning.search.state import FEASIBLE
 
+AT_BOUND = 0.01
+"""A parameter nearer to a bound, as a share of its room, rests there: it has a 25th of its slope in the middle [-]."""
+
 
 def summary(result: TuneResult) -> tuple[str, str]:
     """How it stands to its goals, and what became of the worst residual."""
@@ -40,6 +43,15 @@ def way(result: TuneResult) -> Iterator[str]:
         skipped = f", {int(state.skipped.sum())} steps skipped for a gradient not finite" if state.skipped.any() else ""
         score = f"{state.best.min():.4f}" if state.feasible else "no feasible point"
         yield f"{step.name}: {state.iteration} iterations of {len(state.z)} starts, score {score}{skipped}"
+
+
+def at_bounds(result: TuneResult) -> Iterator[str]:
+    """Which parameters of the tuned controller rest at which bound, in words without an end."""
+    for axis in result.spec.space.axes:
+        share = np.ravel(axis.share(axis.of(result.params)))
+        for bound, rests in ((axis.low, share < AT_BOUND), (axis.high, share > 1.0 - AT_BOUND)):
+            if rests.any():
+                yield f"{axis.name} rests at its bound of {bound:g} {axis.unit}".removesuffix(" -")
 
 
 def _heldout(result: TuneResult) -> Section:
@@ -82,7 +94,8 @@ def _goals(result: TuneResult) -> Section:
 def _parameters(result: TuneResult) -> Section:
     spec, both = result.spec, (result.spec.before, result.params)
     bounds = {axis.name: f"{axis.low:g} … {axis.high:g}" for axis in spec.space.axes}
-    lines, tables, sentences = [], [], []
+    lines, tables = [], []
+    sentences = [f"{resting}." for resting in at_bounds(result)]
     for name, row in PARAMETERS.items():
         values: list[Any] = [params.numbers.get(name) for params in both]
         lines.append([name, *map(_brief, values), row.unit, bounds.get(name, "frozen")])
