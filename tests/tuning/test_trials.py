@@ -248,6 +248,18 @@ def test_motions_robots_and_controllers_find_their_places(monkeypatch: pytest.Mo
         np.testing.assert_array_equal(noise, np.tile(trial.signals.noise[7], (3, 1)))
 
 
+@pytest.mark.usefixtures("few")
+def test_what_is_compiled_ahead_is_a_program_for_each_structure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not for each controller."""
+    compiled: list[int] = []
+    monkeypatch.setattr(
+        compute, "compile_ahead", lambda _, __, shared: compiled.append(shared.params.disturbance_order)
+    )
+    asked = job(Params(K2=1.0), Params(K2=2.0, disturbance_order=2), Params(K2=3.0))
+    compute._compiled(compute._programs(asked, compute.constants_of(asked), 1), ())
+    assert sorted(compiled) == [1, 2]
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_no_bit_of_a_trial_depends_on_who_else_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from jaxmpc.loop.arm import ArmSignals
 from jaxmpc.stability import whole_arm
 from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.precision import in_float64
+from jaxmpc.xla.shared import kind_of
 from tuning.trials import drawn
 from tuning.trials.drawn import Job
 from tuning.trials.makers import made_by_processes
@@ -140,7 +141,7 @@ def _blank(constants: Constants) -> Met:
 
 @in_float64
 def _compiled(programs: list[_Program], met: tuple[Met, ...]) -> None:
-    for program in programs:
+    for program in {kind_of(program.shared): program for program in programs}.values():
         compile_ahead(program.run, met, program.shared)
 
 
