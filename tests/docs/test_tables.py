@@ -52,7 +52,7 @@ def test_a_job_is_printed_with_every_key_and_what_it_is_when_left_out(kind: type
     assert list(told) == [line.split(" = ")[0] for line in lines if " = " in line]
     for each in msgspec.structs.fields(kind):
         default = plain(each.default)
-        if default != [] or told[each.name] == "[]":
+        if default not in ([], None) or told[each.name] == "[]":
             assert value_of(told[each.name]) == default, each.name
         else:
             assert told[each.name].startswith("the "), each.name
