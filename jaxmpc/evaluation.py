@@ -13,7 +13,7 @@ from jaxmpc.closed_loops import ClosedLoops, Outcome, margins_of, outcome_of, ru
 from jaxmpc.engine.base import CellResults
 from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
 from jaxmpc.experiment import Experiment, Physics
-from jaxmpc.files.errors import InputError, check_type, nearest
+from jaxmpc.files.errors import InputError, check_type, nearest, truth
 from jaxmpc.stability import Margins
 from jaxmpc.stability.loop import contacts_between
 from jaxmpc.synthesis import designed
@@ -68,6 +68,7 @@ def evaluate(
     check_type("params", params, Params, MAKE_PARAMS)
     remedy = 'Make one with Experiment.published("table-1"), Experiment.from_toml(FILE) or Experiment(…).'
     check_type("experiment", experiment, Experiment, remedy)
+    trace = truth("trace", trace, "True keeps every sample.")
     experiment = with_physics(experiment, physics)
     for key, value, kind in (("physics", experiment.physics, Physics), ("precision", precision, Precision)):
         if value not in get_args(kind):

@@ -15,7 +15,7 @@ from jaxmpc.experiment.reference import Reference
 from jaxmpc.experiment.signals import Signals, fixed, scored
 from jaxmpc.experiment.tables import ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.experiment.together import TABLES, check_kinds, check_together, tuple_of_floats
-from jaxmpc.files.errors import InputError, nearest, plain_name
+from jaxmpc.files.errors import InputError, check_table, nearest, plain_name
 from jaxmpc.files.foreign import LARGEST_RECORDING, read_bytes
 from jaxmpc.files.toml import check_built, convert, known_keys, located, plain_data, read_toml, told_by_type
 from jaxmpc.law.ops import FLOATS
@@ -145,6 +145,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=T
         Raises:
             InputError: A key is unknown, a value of the wrong type or out of bounds, a recording unusable.
         """
+        check_table(root or "experiment", data)
         known_keys(Experiment, data, root)
         for key, kind in TABLES.items():
             if isinstance(table := data.get(key), dict):

@@ -2,9 +2,10 @@
 
 import operator
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 LONGEST_VALUE, LONGEST_TEXT = 80, 1200
 """How much of a value, and of any other part, is repeated [characters]."""
@@ -85,14 +86,48 @@ def within(low: float, high: float, unit: str) -> str:
     return f"in [{low:g}, {high:g}] {unit}".removesuffix(" -")
 
 
-def check_type(key: str, value: Any, kind: type, remedy: str) -> None:
+def check_type(key: str, value: Any, kind: Any, remedy: str) -> None:
     """Refuse an argument of another type, such as a name in the place of what has that name.
+
+    Args:
+        key: Its name.
+        value: As the caller has it.
+        kind: A class, or one beside None.
+        remedy: What to do about another, a sentence.
 
     Raises:
         InputError: It is none of the kind.
     """
     if not isinstance(value, kind):
-        raise InputError(key, value, f"of the type {kind.__name__}", remedy)
+        named = next(each for each in get_args(kind) or (kind,) if each is not type(None))
+        raise InputError(key, value, f"of the type {named.__name__}", remedy)
+
+
+def truth(key: str, value: Any, remedy: str) -> bool:
+    """A truth value, numpy's too, as Python's bool.
+
+    Args:
+        key: What it decides, for messages.
+        value: As the caller has it.
+        remedy: What to do about another, a sentence.
+
+    Raises:
+        InputError: It is none: whatever is not empty would count as true.
+    """
+    found = value.item() if getattr(value, "shape", None) == () and hasattr(value, "item") else value
+    if not isinstance(found, bool):
+        raise InputError(key, value, "true or false", remedy)
+    return found
+
+
+def check_table(key: str, value: Any) -> None:
+    """Refuse what is no mapping of names to values.
+
+    Raises:
+        InputError: It is something else.
+    """
+    if not isinstance(value, Mapping):
+        raise InputError(key, value, "a table, or a dict of its values", "Its keys are those of the TOML file.")
 
 
 def counted(key: str, value: Any, remedy: str, least: int = 1, most: int | None = None) -> int:

@@ -201,9 +201,11 @@ def margins(
         Margins, each of the batch's shape followed by that of `stiffness`.
 
     Raises:
-        InputError: A stiffness is not positive, the delay is not 1 or 2 or beside a path, or the batch is empty.
+        InputError: A stiffness is not positive, the delay is not 1 or 2 or beside a path, the batch is empty, or an
+            argument of another type.
     """
     check_type("params", params, Params, MAKE_PARAMS)
+    check_type("path", path, LoopPath | None, "Take it of an experiment: experiment.loop_path().")
     values = _real(stiffness)
     if not isinstance(values, jax.core.Tracer) and not bool(jnp.all((values > 0.0) & jnp.isfinite(values))):
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")

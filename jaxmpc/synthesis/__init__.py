@@ -174,10 +174,12 @@ def design(params: Params, timing: Timing | None = None, force_filter: ForceFilt
         L (…, 3), K (…, 3 + N), mpc_ref (…, 64), mpc_x (…, 2), mpc_u (…), … in float64; see `Gains`.
 
     Raises:
-        InputError: At this sampling time a part of the controller would do nothing (`check_sampling`), or what was
-            given are no `Params`.
+        InputError: At this sampling time a part of the controller would do nothing (`check_sampling`), or an argument
+            is of another type.
     """
     check_type("params", params, Params, MAKE_PARAMS)
+    check_type("timing", timing, Timing | None, "Write Timing(T_s=1e-3), or leave it out.")
+    check_type("force_filter", force_filter, ForceFilter | None, "Take that of experiment.loop_path().")
     batch = params.batch_shape
     gains, _ = designed(reshaped(params, len(batch), -1), (timing or Timing()).T_s, force_filter)
     return reshaped(gains, 1, *batch)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmpc import described
-from jaxmpc.files.errors import InputError, nearest
+from jaxmpc.files.errors import InputError, check_table, nearest
 from jaxmpc.files.toml import without_arrays
 from jaxmpc.quantities import FILTERS, HORIZONS, PARAMETERS, ParameterValues
 from jaxmpc.synthesis.listening import Listening
@@ -108,7 +108,7 @@ class Params(eqx.Module, ParameterValues):
         Raises:
             InputError: The name is not one of these.
         """
-        if name not in SETS:
+        if not isinstance(name, str) or name not in SETS:
             raise InputError("published parameters", name, "a known name", nearest(name, list(SETS)))
         return Params.from_dict(SETS[name])
 
@@ -121,6 +121,7 @@ class Params(eqx.Module, ParameterValues):
         Raises:
             InputError: An unknown name, a wrong type, or a value out of bounds.
         """
+        check_table("params", values)
         known = [*PARAMETERS, *STRUCTURE, "knots"]
         given: dict[str, Any] = {}
         for name, value in without_arrays(values).items():

@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.files.errors import InputError, nearest, within
+from jaxmpc.files.errors import InputError, check_table, nearest, within
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 
 
@@ -24,6 +24,7 @@ def rows_of(columns: Mapping[str, Any]) -> int:
     Raises:
         InputError: There is none, a name is unknown, a column has another shape, or holds something else than numbers.
     """
+    check_table("columns", columns)
     rows = 0
     for name, column in columns.items():
         if name not in PARAMETERS:

@@ -9,7 +9,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, truth
 from jaxmpc.law.force_filter import ForceFilter
 from jaxmpc.world.contact import hertz
 from jaxmpc.world.sensor import SENSOR_LOWPASS_HZ
@@ -77,9 +77,10 @@ def loop_path(
         force_filter: What the controller makes the measured force pass; None is nothing.
 
     Raises:
-        InputError: The delay is not 1 or 2.
+        InputError: The delay is not 1 or 2, or `ideal` no truth value.
     """
     check_delay(delay)
+    ideal = truth("ideal", ideal, "True is the paper's ideal damping.")
     if lowpass_hz is None:
         lowpass_hz = 0.0 if ideal else SENSOR_LOWPASS_HZ
     return LoopPath(T_s, float(delay), velocity_cutoff, hertz(lowpass_hz), ideal, force_filter)

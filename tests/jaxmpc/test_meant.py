@@ -4,11 +4,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from jaxmpc import Experiment, InputError, Params, design, evaluate, margins
 from jaxmpc.cli import main
 
+TABLE_1 = Experiment.published("table-1")
 FILES = {
     "experiment": 'physics = "linear"\nduration = 3.0\nsettle = 1.0\n',
     "params": "[params]\nlam = 0.1\n",
@@ -62,12 +64,30 @@ def test_a_file_of_another_kind(
         (lambda: evaluate({"lam": 0.1}, Experiment.published("table-1")), "must be of the type Params"),
         (lambda: evaluate(Params(), "table-1"), "experiment = table-1: must be of the type Experiment"),
         (lambda: evaluate(Experiment.published("table-1"), Params()), "must be of the type Params"),
+        (lambda: evaluate(Params(), TABLE_1, trace="no"), "trace = no: must be true or false"),
+        (lambda: margins(Params(), 810.0, ideal="no"), "ideal = no: must be true or false"),
+        (lambda: margins(Params(), 810.0, ideal=None), "ideal = None: must be true or false"),
+        (lambda: margins(Params(), 810.0, path=TABLE_1), "must be of the type LoopPath. Take it of an experiment"),
+        (lambda: TABLE_1.loop_path("no"), "ideal = no: must be true or false"),
+        (lambda: design(Params(), 1e-3), "timing = 0.001: must be of the type Timing. Write Timing(T_s=1e-3)"),
+        (lambda: design(Params(), None, 3.0), "force_filter = 3.0: must be of the type ForceFilter"),
+        (lambda: Params.from_dict(["lam", 0.1]), "must be a table"),
+        (lambda: Params.from_dict(None), "params = None: must be a table"),
+        (lambda: Experiment.from_dict([1.0]), "experiment = [1.0]: must be a table"),
+        (lambda: Params().with_columns([0.1, 0.2]), "columns = [0.1, 0.2]: must be a table"),
+        (lambda: Params.published(["text"]), "must be a known name"),
     ],
 )
 def test_an_argument_of_another_type(wrong: Callable[[], Any], says: str) -> None:
     with pytest.raises(InputError) as caught:
         wrong()
     assert says in str(caught.value)
+
+
+def test_a_truth_value_of_numpy_is_one() -> None:
+    path = TABLE_1.loop_path(np.bool_(True))
+    assert path == TABLE_1.loop_path(True)
+    assert path.ideal is True
 
 
 @pytest.mark.parametrize(("more", "key"), [({"delay": 2}, "delay"), ({"ideal": True}, "ideal")])
