@@ -14,8 +14,9 @@ from jaxtyping import Array, Float, Int
 from jaxmpc import described
 from jaxmpc.files.errors import InputError, check_type
 from jaxmpc.law.gains import Gains
+from jaxmpc.stability.added_delay import Loop
 from jaxmpc.stability.controller import TransferFunction, controller_of
-from jaxmpc.stability.crossings import Loop, LoopMargins, loop_margins
+from jaxmpc.stability.crossings import LoopMargins, loop_margins
 from jaxmpc.stability.held_beat import HeldBeat, poles
 from jaxmpc.stability.loop import closed_loop_matrix, contacts_between, spectral_radius
 from jaxmpc.stability.response import loop_around

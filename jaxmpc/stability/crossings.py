@@ -5,7 +5,6 @@ is evaluated once, at the places found, with one Newton step towards each: that 
 its derivative is exactly the one by which the place moves.
 """
 
-from collections.abc import Callable
 from math import pi
 from typing import Any, NamedTuple
 
@@ -13,12 +12,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Complex, Float
 
+from jaxmpc.stability.added_delay import Loop, added_delay, lag_of
 from jaxmpc.stability.search import peak, root
 from jaxmpc.xla.extremes import least
 
 Scalar = Float[Array, ""]
-Loop = Callable[..., Complex[Array, "..."]]
-"""L(θ [rad], added delay [samples]) of the negative feedback 1 + L, elementwise in the angle θ = ω T_s."""
 
 SLOW, POINTS = 12, 252
 """Angles searched, the first so many below `CLOSELY`; above it they are 3.9 % apart up to the Nyquist frequency. What
@@ -32,8 +30,6 @@ observers alone turn a loop, without resonance: with the least `Q_p` at 0.1 ms i
 BESIDE = (-8.0, -1.0, -0.125, 0.125, 1.0, 8.0)
 """Where a loop is looked at beside a pole on the unit circle, over the distance at which its part of L has a size of
 about 1 [-]: from there to the pole the curve is nearly straight, and crosses the real axis on one side of the two."""
-CHORD_STEPS = 12
-"""Each gains three digits and more; the start has four."""
 
 
 class LoopMargins(NamedTuple):
@@ -82,8 +78,8 @@ def loop_margins(live: Loop, frozen: Loop, T_s: Any, poles: Poles | None = None)
     slope = jax.jvp(frozen, (at,), (jnp.ones_like(at),))[1]
 
     M_s = 1.0 / least(jnp.abs(1.0 + response[:2]))
-    gain, phase = _gain(response[2:4], slope[2:4]), _lag(response[4], slope[4])
-    delay = _added_delay(live, frozen, *jax.lax.stop_gradient((at[5], response[5], slope[5])))
+    gain, phase = _gain(response[2:4], slope[2:4]), lag_of(response[4], slope[4])
+    delay = added_delay(live, frozen, *jax.lax.stop_gradient((at[5], response[5], slope[5])))
     up, down = jnp.where(places.has_gain, gain, jnp.inf)
     lag, late = jnp.where(places.has_lag, jnp.stack([jnp.rad2deg(phase), delay * T_s]), jnp.inf)
     return LoopMargins(M_s, up, down, lag, late)
@@ -147,6 +143,7 @@ def _places(loop: Loop, poles: Poles | None) -> Places:
     # The sampled loop ends on the real axis: its last point is a crossing too, and no change of sign.
     changes = piece & (imaginary[:-1] * imaginary[1:] < 0.0) & (jnp.arange(len(piece)) < len(piece) - 1)
     level = real[:-1] + _share(imaginary, changes) * (real[1:] - real[:-1])
+    level = jnp.where(_resonates(response), _through_resonance(response, changes), level)
     level = jnp.append(jnp.where(changes, level, 0.0), real[-1])
     inside, outside = (level < 0.0) & (level > -1.0), level <= -1.0
     away = jnp.abs(jnp.log(jnp.maximum(-level, 1e-300)))
@@ -173,47 +170,24 @@ def _share(crosses: Float[Array, " n"], changes: Bool[Array, " m"]) -> Float[Arr
     return share
 
 
+def _resonates(response: Complex[Array, " n"]) -> Bool[Array, " m"]:
+    """Whether a curve is largest between two points."""
+    rises = jnp.diff(jnp.abs(response)) > 0.0
+    return jnp.append(True, rises[:-1]) & jnp.append(~rises[1:], True)
+
+
+def _through_resonance(response: Complex[Array, " n"], changes: Bool[Array, " m"]) -> Float[Array, " m"]:
+    """Real part where a curve crosses the real axis between two points; by its inverse, nearly straight at a resonance.
+
+    A straight line between the points would take a crossing at −100 for one inside the unit circle.
+    """
+    inverse = 1.0 / response
+    real = inverse.real[:-1] + _share(inverse.imag, changes) * jnp.diff(inverse.real)
+    return 1.0 / jnp.where(real == 0.0, 1.0, real)
+
+
 def _gain(response: Complex[Array, "2"], slope: Complex[Array, "2"]) -> Float[Array, "2"]:
     """Gain change to −1 from a crossing of the negative real axis, in the direction that has it [dB]."""
     steep = jnp.where(slope.imag == 0.0, 1.0, slope.imag)
     real = response.real - slope.real * response.imag / steep
     return jnp.abs(20.0 * jnp.log10(jnp.where(real < 0.0, -real, 1.0)))
-
-
-def _lag(response: Complex[Array, ""], slope: Complex[Array, ""]) -> Scalar:
-    """Lag to −1 from a crossover [rad]."""
-    relative = slope / response
-    steep = jnp.where(relative.real == 0.0, 1.0, relative.real)
-    return jnp.mod(jnp.angle(response) - relative.imag * jnp.log(jnp.abs(response)) / steep + pi, 2.0 * pi)
-
-
-def _added_delay(live: Loop, frozen: Loop, theta: Scalar, response: Any, slope: Any) -> Scalar:
-    """Delay [samples] at which 1 + L = 0 at some angle.
-
-    This is the delay of the held command in continuous time. Lag/θ at a crossover, where the search
-    starts, leaves out what sampling folds down, some 1e-4 of it. The search keeps the derivatives of the
-    pure delay, L e^{−jθτ} = −1; the last step, which carries the derivatives, has the exact ones.
-
-    Args:
-        live: The loop.
-        frozen: The same without derivatives.
-        theta: Angle of the crossover [rad].
-        response: L there.
-        slope: dL/dθ there.
-    """
-
-    def step(loop: Loop, point: Any, by_theta: Any, by_delay: Any) -> tuple[Scalar, Scalar]:
-        miss = 1.0 + loop(*point)
-        area = by_theta.real * by_delay.imag - by_theta.imag * by_delay.real
-        to_theta = (miss.real * by_delay.imag - miss.imag * by_delay.real) / area
-        to_delay = (by_theta.real * miss.imag - by_theta.imag * miss.real) / area
-        return point[0] - to_theta, point[1] - to_delay
-
-    start = theta, _lag(response, slope) / theta
-    by_theta, by_delay = 1j * start[1] - slope / response, 1j * theta
-    found = jax.lax.fori_loop(0, CHORD_STEPS, lambda _, point: step(frozen, point, by_theta, by_delay), start)
-    usable = jnp.isfinite(found[1]) & (found[1] >= 0.0)
-    point = tuple(jnp.where(usable, end, begin) for end, begin in zip(found, start, strict=True))
-    ones = jnp.ones_like(theta)
-    exact = [jax.jvp(frozen, point, tangent)[1] for tangent in ((ones, 0.0 * ones), (0.0 * ones, ones))]
-    return step(live, point, *exact)[1]

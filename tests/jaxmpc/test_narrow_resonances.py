@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxmpc import Params, design
+from jaxmpc import Params, Timing, design, margins
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.world.loop_path import loop_path
@@ -85,3 +85,53 @@ def test_narrow_resonances_are_in_every_margin(cut: float) -> None:
         assert float(found.gain_margin_db) == pytest.approx(decibels[decibels > 0.0].min(), rel=2e-3)
         assert float(found.gain_reduction_db) == pytest.approx(-decibels[decibels < 0.0].max(initial=-np.inf), rel=2e-3)
         assert float(found.phase_margin_deg) == pytest.approx(np.mod(lag, 360.0).min(), abs=0.1)
+
+
+QUICK = [
+    (
+        Params(architecture="mpc", lam=7.89e-12, Q_p=3.26e5, T_cl=4.78e-3, K2=4.49, Khat_s=1062.8, Hp=55, Hu=8),
+        174.43,
+        1,
+    ),
+    (Params(architecture="aob", Q_p=2.63e7, T_cl=1.57e-2, K2=10.0, Khat_s=2607.0), 2219.1, 2),
+    (Params(architecture="aob", Q_p=9.78e7, Q_x=0.0, T_cl=2.58e-2, K2=0.1, Khat_s=1317.5), 1121.5, 2),
+]
+"""Loops that cross over near the Nyquist frequency, of 0.97, 0.021 and 0.057 samples more: 1.8, 0.002 and 0.042 were
+told, and of a loop like the first at 45 ms a negative one."""
+
+
+@pytest.mark.parametrize(("params", "K_s", "delay"), QUICK)
+def test_delay_margin_near_the_nyquist_frequency(
+    independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int
+) -> None:
+    """Where most of what a fraction of a sample does is what sampling folds down."""
+    velocity, gains = 1350.0, design(params)
+    path = loop_path(T_S, delay, velocity_cutoff=velocity, lowpass_hz=0.0)
+    found = float(margins(params, K_s, path=path).delay_margin_s) / T_S
+
+    def worst(late: float) -> float:
+        loops = (
+            independent_loop(gains, K_s, float(params.K2), delay, False, 0.0, velocity, **{place: late})[0]
+            for place in ("late_v", "late_a")
+        )
+        # An active state that MPC alone has not is no mode of its loop.
+        idle = [2 + params.designed_delay] if params.architecture == "mpc" else []
+        return max(radius(np.delete(np.delete(A, idle, 0), idle, 1)) for A in loops)
+
+    assert all(worst(late) < 1.0 for late in np.linspace(0.0, 0.99 * found, 20))
+    assert worst(found) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_resonance_far_outside_the_unit_circle_hides_no_gain_margin() -> None:
+    """Between two angles searched the loop crosses the real axis near −100: a straight line took that for −0.5."""
+    params = Params(lam=9.3744e-6, Q_p=0.020647, T_cl=1.0635866e-3, K2=0.0, Khat_s=111.618, Hp=60, Hu=2)
+    K_s, path = 273.131, loop_path(3.3220350e-4, 2, velocity_cutoff=30.0, lowpass_hz=0.0)
+    gains = jax.tree.map(np.asarray, design(params, Timing(path.T_s)))
+    contact = jax.tree.map(np.asarray, contact_of(K_s, params.K2, path))
+    response = np.asarray(loop_response(gains, contact, np.geomspace(1e-3, np.pi, 60_000), 1.0))
+    level = -response.real[:-2][response.imag[:-2] * response.imag[1:-1] < 0.0]
+    decibels = -20.0 * np.log10(level[level > 0.0])
+    assert decibels.min() < -30.0
+    found = margins(params, K_s, path=path)
+    assert float(found.gain_margin_db) == pytest.approx(decibels[decibels > 0.0].min(), rel=2e-3)
+    assert float(found.gain_reduction_db) == pytest.approx(-decibels[decibels < 0.0].max(), rel=2e-3)
