@@ -19,6 +19,9 @@ from jaxmpc.world.friction import SMALL_VELOCITY
 
 COLUMNS = ("t", "q1", "q2", "q3", "q4", "tau1", "tau2", "tau3", "tau4")
 FEWEST_SAMPLES = 1000
+FEWEST_FITTED = 100
+"""Samples behind the low-pass, some eight a period of its cutoff: from 41 the sample's first joint had 0.08 ± 0.17
+instead of 2.01 N m of Coulomb friction, and presliding displacements came out at the bounds of their search."""
 SLOWEST_SAMPLING_HZ = 200.0
 LEAST_TRAVEL = 0.1
 """What a joint must span, and the path after which its bristle has forgotten where it began [rad]."""
@@ -155,8 +158,8 @@ def identify(recording: MotionRecording, cutoff: float = 15.0, offsets: bool = T
         offsets: Whether a constant torque per joint is estimated too.
 
     Raises:
-        InputError: Too few samples, time that does not increase, sampling below 200 Hz, a joint whose friction
-            cannot be told from this motion, or torques that are none of an arm with these masses.
+        InputError: Too few samples, or too few for this cutoff; time that does not increase, sampling below 200 Hz, a
+            joint whose friction cannot be told from this motion, or torques that are none of an arm with these masses.
     """
     from jaxmpc.identify.friction_fit import Band, JointData, fit, rigid_body, smooth
 
@@ -167,8 +170,13 @@ def identify(recording: MotionRecording, cutoff: float = 15.0, offsets: bool = T
     path = np.cumsum(np.abs(np.diff(q, axis=0)), axis=0).min(axis=1)
     inside = np.searchsorted(t, (t[0] + EDGE / cutoff, t[-1] - EDGE / cutoff))
     used = slice(max(int(inside[0]), int(np.searchsorted(path, LEAST_TRAVEL)) + 1), int(inside[1]))
-    _check_directions(qdot[used])
     band = Band(_rate(t), cutoff, used)
+    fitted = len(t[used][:: band.every])
+    if fitted < FEWEST_FITTED:
+        bound = f"high enough to fit {FEWEST_FITTED} samples (= {fitted} of {t[-1] - t[0]:.3g} s)"
+        remedy = f"Raise it or record for longer: {EDGE:g} of its periods are left out at both ends."
+        raise InputError("cutoff", f"{cutoff:g} Hz", bound, remedy)
+    _check_directions(qdot[used])
     velocity, links, net, tau = band(qdot), band(links), band(tau - drives * qddot), band(tau)
     joints = [JointData(np.diff(q[:, j]), np.diff(t), band, velocity[:, j], links[:, j], net[:, j]) for j in range(4)]
     found = fit(joints, t[used][:: band.every], offsets)

@@ -78,3 +78,15 @@ def test_a_torque_of_the_other_sign_in_one_joint_is_told(joint: int) -> None:
     told = rf"^{name} = explained to R² = -[12]\.\d\d: must be at least 0\.5\. Does a positive {name} turn J{joint + 1}"
     with pytest.raises(InputError, match=told):
         identify(recording._replace(tau=tau))
+
+
+@pytest.mark.parametrize("cutoff", [0.05, 0.2, 0.5])
+def test_a_cutoff_that_leaves_too_little_to_fit_is_told_as_that(cutoff: float) -> None:
+    """Joints were said to move one way only, or their friction came out at a twenty-fifth."""
+    with pytest.raises(InputError, match=r"^cutoff = .* high enough to fit 100 samples .* Raise it or record"):
+        identify(read_recording(EXAMPLES / f"{SAMPLE}.csv"), cutoff=cutoff)
+
+
+def test_a_cutoff_of_1_hz_still_tells_friction() -> None:
+    found = identify(read_recording(EXAMPLES / f"{SAMPLE}.csv"), cutoff=1.0)
+    np.testing.assert_allclose(found.coulomb.value, settings().coulomb, rtol=0.05)
