@@ -79,7 +79,8 @@ def uncompensated_acceleration(experiment: Experiment) -> Float[np.ndarray, "ste
 
     slipped = POSTURE_STIFFNESS * eta + POSTURE_DAMPING * etad
     load = given - np.outer(slipped, posture.M_n @ posture.n) - np.outer(etad, posture.n * robot.viscous) - rubbing
-    xdd = np.gradient(velocity, T_s, axis=0)
+    # A single sample tells of no change.
+    xdd = np.gradient(velocity, T_s, axis=0) if len(velocity) > 1 else np.zeros_like(velocity)
     asked = restoring @ posture.J.T + xdd @ np.linalg.inv(posture.gain).T - load @ posture.to_command.T
     disturbance: np.ndarray = xdd - asked
     return disturbance

@@ -277,3 +277,13 @@ def test_acceleration_that_is_known_beforehand_makes_the_arm_follow(settings: di
     left, needed = (np.std(np.asarray(signal)[200:], axis=0) for signal in (kept, w))
     # 0.01 m/s²: the arm's posture changes under way, that of the formulas does not.
     assert np.all(left < 0.1 * needed + 0.01), (left, needed)
+
+
+def test_a_run_of_a_single_sample_on_the_arm_has_a_spectrum_without_lines() -> None:
+    whole = Experiment.published("table-1-wam")
+    still = msgspec.structs.replace(whole.reference, z=-5.0)
+    one = msgspec.structs.replace(whole, duration=1e-3, settle=0.0, reference=still)
+    assert uncompensated_acceleration(one).shape == (1, 3)
+    found = spectrum_of(one)
+    assert not np.any(found.heart)
+    assert not np.any(found.acceleration)
