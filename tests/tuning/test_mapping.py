@@ -43,7 +43,7 @@ def case() -> Case:
     spec = TuneSpec.from_dict(
         {
             "experiment": {"published": "table-1", "damping": "sampled"},
-            "tune": {"mapping": 4, "duration": 4.0, "settle": 2.5, "train_seeds": [0], "margin_points": 0},
+            "tune": {"duration": 4.0, "settle": 2.5, "train_seeds": [0], "margin_points": 0},
             "goals": {"M_s": 3.0, "gain_margin_db": 4.0, "soft": {"rms_ratio": 0.65, "peak_to_peak_ratio": 0.7}},
         }
     )
