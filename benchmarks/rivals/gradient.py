@@ -82,5 +82,6 @@ def decides(problem: Problem, spec: TuneSpec) -> bool:
 def warmed_up(spec: TuneSpec) -> float:
     """Compile every program of the tuner, by climbing in as few steps as there can be; seconds that this takes."""
     began = time.perf_counter()
-    run_search(msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, steps=1, mapping=2)))
+    few = {"steps": 1, **({"mapping": 2} if spec.on_arm else {})}
+    run_search(msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, **few)))
     return time.perf_counter() - began
