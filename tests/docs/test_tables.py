@@ -29,13 +29,9 @@ def page(name: str) -> str:
 
 def plain(value: Any) -> Any:
     """As TOML has it, of what is no whole decimal three digits."""
-    return (
-        [plain(each) for each in value]
-        if isinstance(value, tuple)
-        else round(value, 3)
-        if isinstance(value, float)
-        else value
-    )
+    if isinstance(value, tuple):
+        return [plain(each) for each in value]
+    return round(value, 3) if isinstance(value, float) else value
 
 
 def value_of(text: str) -> Any:
