@@ -31,7 +31,7 @@ class Counters:
         hosts: From another host: somebody else commands this arm.
         malformed: With extended identifier, remote, CAN FD, or an error frame.
         send_errors: Refused by the driver.
-        receive_errors: Attempts to read that failed.
+        receive_errors: Attempts to read frames, or the controller's state, that failed.
         held: Not even tried, because an error had happened before.
         dropped: By the kernel, because they were not read in time; counted by `count_dropped`.
     """
@@ -89,8 +89,15 @@ class Bus:
     @property
     def state(self) -> BusState:
         """What can be relied on; "down" is a network interface that is down, "off" bus-off or no interface."""
-        if self._state == "active" and self._bus.state is not can.BusState.ACTIVE:
-            self._fail("off" if self._bus.state is can.BusState.ERROR else "error")
+        if self._state == "active":
+            try:
+                told = self._bus.state
+            except Exception as error:  # some drivers ask their adapter, which may have been pulled out
+                self.counters.receive_errors += 1
+                self._fail(_meaning(error, "off"))
+                return self._state
+            if told is not can.BusState.ACTIVE:
+                self._fail("off" if told is can.BusState.ERROR else "error")
         return self._state
 
     @property

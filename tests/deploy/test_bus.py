@@ -227,6 +227,25 @@ def test_a_driver_that_knows_the_state_is_believed(clock, said, state):
     assert Bus(Knowing(), clock.now).state == state
 
 
+@pytest.mark.parametrize(
+    ("error", "state"), [(RuntimeError("no such device"), "off"), (OSError(errno.ENETDOWN, "down"), "down")]
+)
+def test_a_driver_that_cannot_tell_its_state_is_off_the_bus(clock, error, state):
+    """As one whose adapter was pulled out: an order to idle must still be tried."""
+
+    class Unplugged(Scripted):
+        @property
+        def state(self):
+            raise error
+
+    driver = Unplugged()
+    bus = Bus(driver, clock.now)
+    assert bus.state == state
+    assert bus.counters.receive_errors == 1
+    assert bus.send(Frame(0x404, bytes((0x88, 0, 0, 0, 0, 0))))
+    assert len(driver.sent) == 1
+
+
 def test_waiting_ends_though_the_wall_clock_is_set_back(monkeypatch):
     # python-can's own recv measures on time.time()
     class Patient(Scripted):
