@@ -159,7 +159,7 @@ def _with_value(number: int, value: int, short: bool) -> bytes:
 
 
 def _encode_triple(group: str, values: Sequence[float], per_unit: int, flags: int | None) -> Frame:
-    counts = [min(max(round(value * per_unit), -32768), 32767) for value in values]
+    counts = [round(min(max(value * per_unit, -32768.0), 32767.0)) for value in values]
     data = struct.pack("<hhh", *counts) + (b"" if flags is None else bytes((flags,)))
     return Frame(GROUPS[group] | SENSOR << 5, data)
 

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     if args.slcan and find_spec("serial") is None:
         remedy = "Install pyserial, or use the socketcand port, which needs nothing."
         raise InputError("--slcan", "given", "used where pyserial is installed", remedy)
-    presses = [f"pendant:activate@{args.activate_after:g}"] if args.activate_after is not None else []
+    presses = [f"pendant:activate@{args.activate_after:.9f}"] if args.activate_after is not None else []
     twin = Twin(
         twin_settings(
             args.experiment,

@@ -24,7 +24,8 @@ Frames, of `frames` (all to the host), `positions`, `force`, `J1` to `J4`, or `c
     duplicated[=p]          sent twice, always or with probability p
 
 And `puck1` to `puck4`: fault (idle, and says so), mute (idle, and says nothing), off (silent), reset; `pendant`:
-activate, idle, e-stop; `bus`: off, babble[=frames per second of foreign identifiers].
+activate, idle, e-stop: all of them instants, without a duration; `bus`: off, babble[=frames per second of foreign
+identifiers]. A value where a word takes none is refused, lest it be thought to act.
 """
 
 import math
@@ -50,6 +51,9 @@ _SENSOR = {
 }
 """Words of sensors, with the value of the force and of an encoder when none is given."""
 _FRAMES = {"lost": math.nan, "late": 2.0, "duplicated": 1.0}
+_PLAIN = {**_FRAMES, "babble": 8000.0}
+"""Usual values of words that are no sensor's."""
+_NOT_NEGATIVE = ("lost", "duplicated", "intermittent", "babble", "slow", "delayed", "late")
 NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 _OTHERS = {
     "puck": ("fault", "mute", "off", "reset"),
@@ -68,6 +72,8 @@ WORDS: dict[str, tuple[str, ...]] = {
 """Words of each target."""
 _FORM = "TARGET:WORD[=VALUE][@START[+DURATION]]"
 _LARGEST = {"force": 100.0, "encoder": 2.0**20}
+HUGE = 1e9
+"""Size of a value beyond which none makes another fault: no frame of a sensor holds a tenth of it."""
 FULL = 20_000.0
 """Frames of a second that no bus of 1 Mbit/s can carry, if each has eight bytes, as these have [1/s]."""
 _SOON = 1e-9
@@ -112,25 +118,38 @@ def parse(text: str) -> Fault:
     if word not in WORDS[target]:
         raise InputError("fault", text, f"a word of {target}", nearest(word, list(WORDS[target])))
     start, plus, duration = when.partition("+")
-    number = _number(text, value, "its value") if equals else _usual(text, target, word)
-    if word in ("lost", "duplicated", "intermittent", "babble", "slow", "delayed", "late") and number < 0.0:
+    if equals and _usual(word, target) is None:
+        raise InputError("fault", text, "without a value", f"{word} takes none: leave ={value} out.")
+    number = _number(text, value, "its value") if equals else _usual(word, target)
+    if number is None:
+        number = math.nan
+    elif math.isnan(number):
+        raise InputError("fault", text, "with a value", "As lost=0.001 (probability) or lost=3 (the next three).")
+    if word in _NOT_NEGATIVE and number < 0.0:
         raise InputError("fault", text, "with a value of 0 or more", f"The form is {_FORM}.")
+    if word in ("duplicated", "intermittent") and number > 1.0:
+        raise InputError("fault", text, "with a probability, at most 1", f"Leave it out for {_usual(word, target):g}.")
+    if word == "lost" and number > 1.0 and number % 1.0:
+        raise InputError("fault", text, "with a probability, or a whole number of frames", "As lost=0.001 or lost=3.")
+    if abs(number) > HUGE:
+        raise InputError("fault", text, f"with a value of at most {HUGE:g}", "No sensor and no wire has more.")
     if word == "babble" and number > FULL:
         raise InputError("fault", text, f"of at most {FULL:g} frames per second", "No more pass a bus of 1 Mbit/s.")
     begin = _number(text, start, "its start") if at else 0.0
     lasts = _number(text, duration, "its duration") if plus else math.inf
     if begin < 0.0 or lasts <= 0.0:
         raise InputError("fault", text, "from 0 s on and longer than 0 s", f"The form is {_FORM}.")
-    return Fault(target, word, number, begin, lasts)
+    fault = Fault(target, word, number, begin, lasts)
+    if plus and fault.is_event:
+        remedy = "Leave it out; the pendant's next button, or the next start, ends what it did."
+        raise InputError("fault", text, "without a duration: it is an instant", remedy)
+    return fault
 
 
-def _usual(text: str, target: str, word: str) -> float:
-    if word == "lost":
-        raise InputError("fault", text, "with a value", "As lost=0.001 (probability) or lost=3 (the next three).")
+def _usual(word: str, target: str) -> float | None:
+    """The value of a word that is given none: NaN where it must be given, None where it takes none."""
     usual = _SENSOR.get(word)
-    if usual is not None:
-        return usual[target != "force"]
-    return _FRAMES.get(word, 8000.0 if word == "babble" else math.nan)
+    return usual[target != "force"] if usual is not None else _PLAIN.get(word)
 
 
 def _number(text: str, written: str, what: str) -> float:

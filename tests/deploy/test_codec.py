@@ -1,4 +1,5 @@
 import random
+from math import inf
 
 import pytest
 
@@ -40,6 +41,7 @@ VECTORS = [
     ("008#36", codec.get(8, 54), Get(8, 54)),
     ("50A#000100FF0080", codec.encode_force((1.0, -1.0, -128.0)), ForceReply((1.0, -1.0, -128.0), None)),
     ("50A#000100FFFF7F41", codec.encode_force((1.0, -1.0, 500.0), 0x41), ForceReply((1.0, -1.0, 32767 / 256), 0x41)),
+    ("50A#FF7F0080FF7F", codec.encode_force((inf, -inf, 1e308)), ForceReply((32767 / 256, -128.0, 32767 / 256), None)),
     ("50B#001000F00800C0", codec.encode_moment((1.0, -1.0, 2**-9), 0xC0), MomentReply((1.0, -1.0, 2**-9), 0xC0)),
     ("50C#000400FC0100", codec.encode_acceleration((1.0, -1.0, 2**-10)), AccelerationReply((1.0, -1.0, 2**-10))),
 ]

@@ -61,6 +61,20 @@ def test_text_is_a_fault(text, fault):
         ("frames:lost", "with a value"),
         ("frames:late=-1", "0 or more"),
         ("bus:babble=1e9@5", "at most 20000 frames per second"),
+        ("force:stuck=7@5", "without a value"),
+        ("force:nan=1", "without a value"),
+        ("J2:off=0.5", "without a value"),
+        ("puck1:off=3@5", "without a value"),
+        ("pendant:e-stop=1", "without a value"),
+        ("bus:off=2", "without a value"),
+        ("puck1:off@5+0.1", "an instant"),
+        ("pendant:e-stop@5+1", "an instant"),
+        ("force:intermittent=2", "at most 1"),
+        ("commands:duplicated=3", "at most 1"),
+        ("frames:lost=1.5", "whole number of frames"),
+        ("force:unit=1e308", "at most 1e\\+09"),
+        ("J1:unit=-1e308", "at most 1e\\+09"),
+        ("force:delayed=1e30", "at most 1e\\+09"),
         ("", "TARGET:WORD"),
     ],
 )
@@ -314,7 +328,8 @@ def test_a_babbling_node_fills_the_bus_with_foreign_frames():
 def test_every_word_of_every_target_can_be_run(target):
     """And leaves a twin that goes on."""
     for word in WORDS[target]:
-        twin = Twin(TwinSettings(faults=(f"{target}:{word}{'=0.5' if word == 'lost' else ''}@0.002+0.01",)))
+        lasting = "" if target == "pendant" or target.startswith("puck") else "+0.01"
+        twin = Twin(TwinSettings(faults=(f"{target}:{word}{'=0.5' if word == 'lost' else ''}@0.002{lasting}",)))
         twin.press("activate")
         for _ in range(20):
             twin.receive(codec.get(0x404, P))
@@ -324,6 +339,18 @@ def test_every_word_of_every_target_can_be_run(target):
             twin.advance()
         assert np.isfinite(twin.truth().q).all()
     assert len(ENCODERS) == 4
+
+
+@pytest.mark.parametrize(
+    "fault", ["force:unit=-1e9", "J1:unit=1e9", "J4:wrong=-1e9", "force:jump=1e9", "frames:late=1e9"]
+)
+def test_the_largest_values_leave_a_twin_that_goes_on(fault):
+    twin = Twin(TwinSettings(faults=(fault,)))
+    for _ in range(5):
+        twin.receive(codec.get(0x404, P))
+        twin.receive(codec.get(8, FT))
+        twin.take()
+        twin.advance()
 
 
 @pytest.mark.parametrize("order", [("force:sign", "force:delayed=5"), ("force:delayed=5", "force:sign")])
