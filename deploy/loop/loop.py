@@ -101,6 +101,7 @@ class Loop:
         self._held, self._idle_every = patience(1e-9 * period).held, cycles(IDLE_EVERY, 1e-9 * period)
         # Whether pucks may be driven, as far as the bus has taken frames; and whether any order to idle was tried.
         self._on = self._ordered = False
+        self._undriven = -1  # cycles since the arm was let go, or since another reason for it; −1 while it is not
 
     def run(self, command: OperatorCommand) -> RunResult:
         """Run until the arm has been let go.
@@ -181,8 +182,11 @@ class Loop:
         if not refused:
             self._hand_over(frame)
         # An undriven puck left in torque mode would go on with the last command it heard.
-        due = now.cycles % self._idle_every == 0 and not (refused and now.cycles > self._idle_every)
-        if off and now.state is OperatingState.FAULT and due:
+        if not (off and now.over):
+            self._undriven = -1
+            return
+        self._undriven = self._undriven + 1 if now.cycles else 0
+        if self._undriven % self._idle_every == 0 and not (refused and self._undriven > self._idle_every):
             self._idle()
 
     def _idle(self) -> None:

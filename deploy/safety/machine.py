@@ -145,6 +145,8 @@ _TASKS = {
 
 _SILENCING = frozenset({Reason.E_STOP, Reason.BUS_OFF, Reason.BUS_ERROR, Reason.STALLED})
 """Why pucks fall silent, where it is told after they did: a likelier cause than that all were lost."""
+_REFUSED = frozenset({Reason.ENCODER_JUMP, Reason.ENCODER_STUCK})
+"""Why positions that came are not believed, and grow old as if they had not come."""
 _ASKED = frozenset({Reason.FINISHED, Reason.OPERATOR})
 """Why a run ends that went well."""
 _UNHURT = frozenset({Reason.FINISHED, Reason.OPERATOR, Reason.OVERSHOOT, Reason.NO_CONTACT})
@@ -162,6 +164,7 @@ def step(now: SafetyState, observed: Observations, waits: Patience) -> SafetySta
     state, reason = _next(now, observed, waits)
     # Undriven so far, the arm is not taken up for the way out.
     let_go = now.let_go or reason.lets_go or observed.abort or (now.state is OperatingState.IDLE and state in _FINAL)
+    let_go = let_go or observed.position_age > waits.held
     if state is now.state and reason is now.reason:
         contact_cycles = now.contact_cycles + 1 if observed.touching else 0
         again = observed.hazard is reason is Reason.POSITION_LOST and observed.detail
@@ -190,8 +193,12 @@ def _next(now: SafetyState, observed: Observations, waits: Patience) -> tuple[Op
                 return state, observed.hazard
             if observed.danger is Reason.LATE:
                 return state, Reason.LATE
+        if found is Reason.POSITION_LOST and observed.danger is reason and reason in _REFUSED:
+            return state, reason  # that encoder goes on, and is why there are no positions to hold the arm by
         # Only what lets the arm go may replace a reason to hold it.
         return (state, found) if found.lets_go and not now.let_go else (state, reason)
+    if state is OperatingState.STOPPED and now.let_go:
+        return state, reason  # that the arm then idles is what was ordered
     if found is not Reason.NONE:
         return OperatingState.FAULT, found
     if observed.abort and state is not OperatingState.STOPPED:

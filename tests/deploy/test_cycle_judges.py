@@ -134,6 +134,17 @@ def test_an_encoder_that_leaps_is_a_danger_and_its_angle_is_not_used(standing, m
     assert leapt.q == q
 
 
+def test_an_encoder_that_goes_on_leaping_lets_go_and_stays_the_reason(standing):
+    """Its positions are not believed, and so grow old; but no cable and no lost frame is to be looked for."""
+    made = standing()
+    made()
+    seen = [made(counts=made.moved(1, 300)) for _ in range(25)]
+    assert [ends(each) for each in seen] == [(OperatingState.FAULT, Reason.ENCODER_JUMP)] * 25
+    assert [each.safety_state.let_go for each in seen] == [False] * 20 + [True] * 5
+    assert [each.task for each in seen] == [Task.GRAVITY] * 20 + [Task.OFF] * 5
+    assert seen[-1].safety_state.detail == "J2 and J3 (motor 2)"
+
+
 @pytest.mark.parametrize("joint", range(4))
 def test_an_angle_beyond_its_stop_is_a_danger(standing, joint):
     beyond = (2.75, 2.15, 2.95, 3.3)
