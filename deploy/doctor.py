@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from deploy import doctor_startup
 from deploy.bus.bus import Bus
 from deploy.bus.interface import open_bus
 from deploy.controller.artifact import Artifact
@@ -204,6 +205,7 @@ def _ask(opened: Bus, sensor: bool, limits: Limits | None) -> list[Finding]:
     if opened.counters.hosts:
         heard = f"{opened.counters.hosts} frames of another controller within {_LISTEN_S:g} s"
         return [Finding("wrong", f"bus: {heard}: stop it first; nothing was asked")]
+    opened.listen_to(range(1, 32))
     nodes = (*PUCKS, SENSOR, SAFETY_MODULE)
     states = {node: state for node in nodes if (state := _property(opened, node, STAT)) is not None}
     if opened.state != "active":
@@ -220,6 +222,8 @@ def _ask(opened: Bus, sensor: bool, limits: Limits | None) -> list[Finding]:
     if limits is not None and all(states.get(node) == STAT_READY for node in PUCKS):
         fine, text = torque_caps(limits, lambda node, number: _property(opened, node, number))
         found += [Finding("note" if fine else "wrong", text)] * bool(text)
+    told = doctor_startup.refused(lambda node, number: _property(opened, node, number), states)
+    found += [Finding(level, text) for level, text in told]
     if SENSOR not in states and sensor:
         found.append(Finding("wrong", "bus: the force sensor (node 8) does not answer: its cable, or --sensor jr3"))
     if SAFETY_MODULE not in states:

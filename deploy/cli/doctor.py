@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from deploy.cli.run_arguments import A_NETWORK, ONE_PROGRAM
 from jaxmpc.files.errors import InputError
 
 
@@ -48,6 +49,9 @@ def run(args: argparse.Namespace) -> int:
     findings.append(finding)
     if named:
         findings += doctor.bus(args, args.sensor == "can", limits)
+        if getattr(args, "interface", None) in ONE_PROGRAM:
+            text = f"bus: `run` refuses {args.interface}, which its watchdog cannot open, too: {A_NETWORK}"
+            findings.append(doctor.Finding("wrong", text))
     else:
         findings.append(doctor.Finding("note", "bus: not looked at; name it by --interface and --channel"))
 

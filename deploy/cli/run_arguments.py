@@ -18,6 +18,7 @@ LONGEST = 50.0
 """Longest recording of 1 kHz that can be read again [s]."""
 ONE_PROGRAM = ("slcan", "serial", "robotell")
 """Interfaces of python-can that are a serial line, which two programs read to pieces."""
+A_NETWORK = "Make a network of it by `slcand -o -s8 DEVICE can0`, then --interface socketcan --channel can0."
 OF_THE_TWIN: Mapping[str, Any] = {"experiment": None, "stiffness": None, "rhythm": None, "fault": [], "seed": 0}
 """Arguments of a twin in this process, and what they are where nobody gives them."""
 OF_THE_BUS: Mapping[str, Any] = {
@@ -129,11 +130,12 @@ def check(args: argparse.Namespace) -> None:
             "--recorded", args.recorded, f"in [1, {LONGEST:g}] s", "A recording lies in memory as a whole."
         )
     if not args.lockstep and getattr(args, "interface", None) in ONE_PROGRAM:
-        remedy = "Make a network of it by `slcand -o -s8 DEVICE can0`, then --interface socketcan --channel can0."
-        raise InputError("--interface", args.interface, "one that the watchdog can open, too", remedy)
+        raise InputError("--interface", args.interface, "one that the watchdog can open, too", A_NETWORK)
     if args.reference == "-" and args.arm is None and not args.lockstep:
         raise InputError("--arm", "left out", "given with --reference -", "Standard input is the wanted force there.")
     kind, _, device = args.sensor.partition(":")
+    if args.lockstep and kind == "jr3":
+        raise InputError("--sensor", args.sensor, "left out with --lockstep", "The twin's tip has a sensor of its own.")
     if kind not in ("can", "jr3") or (kind == "can" and device):
         raise InputError("--sensor", args.sensor, "can or jr3:DEVICE", "For example jr3:/dev/comedi0.")
     _mount(args.mount)

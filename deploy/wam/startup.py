@@ -12,11 +12,11 @@ from deploy.errors import BusError, CalibrationError
 from deploy.force.sensor import ForceSensor
 from deploy.puck import properties
 from deploy.puck.codec import GROUPS, PUCKS, SAFETY_MODULE, SENSOR, get
-from deploy.puck.pendant import decode_pendant
+from deploy.wam import asked
 from deploy.wam.arm import WamArm
 from deploy.wam.dialogue import NS, TRIES, Clock, Dialogue, name_of
 from deploy.wam.homing import HOME, set_home, within_stops
-from deploy.wam.pucks import PuckInfo, Pucks
+from deploy.wam.pucks import Pucks
 
 IGNORED_VELOCITIES: Final = 5
 """Entries of the safety module's velocity history that are void while positions jump (libbarrett)."""
@@ -25,7 +25,7 @@ QUIET_S: Final = 0.05
 """How long is listened before a word is said [s]: a controller at work sends a hundred frames in that time."""
 LINK_S: Final = 1.0
 """Patience for an interface that is down [s]: one that is being restarted comes up within."""
-STAT, VERS, ROLE, MODE = 5, 0, 1, 8
+STAT, MODE = 5, 8
 """Numbers that are the same in every firmware."""
 
 
@@ -67,27 +67,28 @@ def startup(
     _alone(talk)
     _link_up(talk, report)
     status = _enumerate(talk)
-    asked = {frame.id & 0x1F for frame in sensor.request()}
+    sensors = {frame.id & 0x1F for frame in sensor.request()}
     safety_version = _idle_safety_module(talk, status, patience_s, report)
     safety = partial(properties.number, kind="safety", version=safety_version)
-    _no_faults(talk, safety("PEN"))
-    if any(node not in status for node in (*PUCKS, *asked)):  # they may have come up while the operator was waited for
+    asked.no_faults(talk.must, safety_version)
+    if any(
+        node not in status for node in (*PUCKS, *sensors)
+    ):  # they may have come up while the operator was waited for
         status = _enumerate(talk)
-    for node in (*PUCKS, *sorted(asked)):
+    for node in (*PUCKS, *sorted(sensors)):
         if node not in status:
             remedy = "check its cable and its light" if node == SENSOR else "check its light and cable in the arm"
             raise BusError(f"{name_of(node)} does not answer: {remedy}, and that no other node has its number")
-    if more := [node for node in (5, 6, 7) if node in status]:
-        raise BusError(f"puck {more[0]} answers too: this is a WAM with 7 joints, and only one with 4 is driven here")
+    asked.four_joints(status)
     for name in ("VL1", "VL2", "TL1", "TL2"):
         for command in ("DEF", "LOAD"):
             talk.order(SAFETY_MODULE, safety(command), safety(name), then_s=0.01)
     for name in ("VL2", "TL2"):
         if not talk.must(SAFETY_MODULE, safety(name)) > 0:
             raise CalibrationError(f"the safety module never faults ({name} = 0): set its limits with btutil")
-    _wake(talk, status, (*PUCKS, *asked), report)
+    _wake(talk, status, (*PUCKS, *sensors), report)
     talk.order(GROUPS["wam"], MODE, properties.MODE_IDLE, then_s=0.01)
-    pucks = Pucks(tuple(_read_puck(talk, node) for node in PUCKS))
+    pucks = Pucks(tuple(asked.read_puck(talk.must, node) for node in PUCKS))
     ignore = partial(talk.order, SAFETY_MODULE, safety("IFAULT"), IGNORED_VELOCITIES, 0.01)
     question = get(GROUPS["wam"], pucks.number("P"))
     zero = safety("ZERO")
@@ -107,7 +108,7 @@ def startup(
     within_stops(pucks.angles(counts_now))
     if bus.counters.hosts:
         raise BusError(OTHERS)
-    bus.listen_to((*PUCKS, *asked, SAFETY_MODULE))
+    bus.listen_to((*PUCKS, *sensors, SAFETY_MODULE))
     report(f"started: firmware {', '.join(str(info.version) for info in pucks.infos)}, IPNM {pucks.ipnm}")
     return WamArm(bus, pucks, sensor, counts_now, safety_version, T_s)
 
@@ -175,10 +176,7 @@ def _idle_safety_module(
     """Wait until the safety module is idle; its firmware's version."""
     if SAFETY_MODULE not in status:
         raise BusError("the safety module does not answer: check its cable and that it has power")
-    version = talk.must(SAFETY_MODULE, VERS)
-    role = talk.must(SAFETY_MODULE, ROLE) & 0x1F
-    if role != properties.ROLES.index("safety"):
-        raise BusError(f"node {SAFETY_MODULE} is no safety module (role {role}): check who is on this bus")
+    version = asked.safety_version(talk.must)
     deadline = talk.clock.now() + int(patience_s * NS)
     told = None
     while (mode := talk.must(SAFETY_MODULE, MODE)) != properties.SAFETY_IDLE:
@@ -195,15 +193,6 @@ def _idle_safety_module(
     return version
 
 
-def _no_faults(talk: Dialogue, pen: int) -> None:
-    faults = decode_pendant(talk.must(SAFETY_MODULE, pen)).faults
-    if faults:
-        shown = " and ".join(faults)
-        raise BusError(
-            f"the pendant shows a FAULT of {shown}: find its cause, clear it by Shift-idle, then start again"
-        )
-
-
 def _wake(talk: Dialogue, status: dict[int, int], nodes: Sequence[int], report: Callable[[str], None]) -> None:
     """Wake nodes that are in their monitor, silently: a transceiver coming up can throw the host off the bus."""
     asleep = [node for node in nodes if status[node] == properties.STAT_RESET]
@@ -216,13 +205,3 @@ def _wake(talk: Dialogue, status: dict[int, int], nodes: Sequence[int], report: 
         if (now := talk.must(node, STAT)) != properties.STAT_READY:
             what = "reports an error" if now == properties.STAT_ERROR else "does not wake"
             raise BusError(f"{name_of(node)} {what} (STAT {now}): switch the arm off and on; if it stays, ask btutil")
-
-
-def _read_puck(talk: Dialogue, node: int) -> PuckInfo:
-    version, role = talk.must(node, VERS), talk.must(node, ROLE)
-    number = partial(properties.number, kind="motor", version=version)
-    group = talk.must(node, number("GRPB"))
-    if group != GROUPS["torque"] & 0x1F:
-        raise CalibrationError(f"puck {node} listens to torques of group {group}, not 1: set its GRPB with btutil")
-    pidx, cts, ipnm, mt = (talk.must(node, number(name)) for name in ("PIDX", "CTS", "IPNM", "MT"))
-    return PuckInfo(node, pidx, version, role, cts, ipnm, mt)

@@ -10,6 +10,8 @@ from deploy.controller.file import to_bytes
 from deploy.controller.freeze import freeze
 from deploy.doctor import Traffic, bits
 from jaxmpc.files.errors import InputError
+from tests.deploy.fake_arm import PENDANT
+from tests.deploy.pendants import encode_pendant
 
 MS = 1_000_000
 
@@ -142,15 +144,18 @@ class Robot(can.Listener):
     def __init__(self, channel, nodes, mode=1, broken=()):
         self.broken = broken
         self.bus = can.Bus(interface="virtual", channel=channel)
-        # STAT, MODE; and of pucks VERS, PIDX, IPNM, MT
-        self.nodes, self.values, self.asked = nodes, {5: 2, 8: mode, 0: 150, 86: 2700, 43: 4860}, []
+        # STAT, MODE; of pucks VERS, ROLE, GRPB, CTS, IPNM, MT
+        self.values = {5: 2, 8: mode, 0: 150, 1: 0x100, 27: 1, 68: 4096, 86: 2700, 43: 4860}
+        # ROLE, ZERO and PEN of the safety module
+        self.safety, self.nodes, self.asked = {1: 2, 42: 1, 43: encode_pendant(PENDANT)}, nodes, []
         self.notifier = can.Notifier(self.bus, [self], timeout=0.005)
 
     def on_message_received(self, msg):
         self.asked.append((msg.arbitration_id, bytes(msg.data)))
         if msg.arbitration_id in self.nodes and len(msg.data) == 1:
             number = msg.data[0]
-            value = msg.arbitration_id if number == 70 else self.values[number]
+            known = self.values | (self.safety if msg.arbitration_id == 10 else {})
+            value = msg.arbitration_id if number == 70 else known[number]
             value = 1 if number == 5 and msg.arbitration_id in self.broken else value
             data = bytes((0x80 | number, 0)) + value.to_bytes(4, "little")
             reply = can.Message(arbitration_id=0x406 | msg.arbitration_id << 5, data=data, is_extended_id=False)
@@ -264,6 +269,13 @@ def test_the_verb(tmp_path, arm_artifact, capsys):
     assert run("--artifact", tmp_path / "none.npz") == 1
     assert run("--sensor", "none") == 0
     assert run("--interface", "slcan", "--channel", "/dev/no-such-device") == 1
+
+
+@pytest.mark.usefixtures("quiet")
+def test_a_serial_line_which_a_run_refuses_prevents_one(monkeypatch, capsys):
+    monkeypatch.setattr(doctor, "bus", lambda *_: [doctor.Finding("ok", "bus: open")])
+    assert run("--interface", "slcan", "--channel", "/dev/ttyACM0") == 1
+    assert "slcand -o -s8 DEVICE can0" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("rate", ["nan", "0.4", "1e10", "1e-320"])

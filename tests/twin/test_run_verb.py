@@ -98,6 +98,7 @@ def test_a_fault_is_recorded_named_and_replayed(fly, tmp_path, controller, capsy
         (["--retract", "500"], ["--retract", "200] mm.", "30 is usual"]),
         (["--sensor", "ati"], ["--sensor", "jr3"]),
         (["--sensor", "can:7"], ["--sensor", "can or jr3:DEVICE"]),
+        (["--sensor", "jr3:/dev/comedi0"], ["--sensor", "left out with --lockstep"]),
         (["--rate", "inf"], ["--rate", "100"]),
     ],
 )
