@@ -10,6 +10,7 @@ from deploy.controller import frozen_gains, judged_loop, margin_floor
 from deploy.controller.arm_model import ArmModel
 from deploy.controller.checks import AGAIN, array, plain
 from deploy.controller.judged_loop import JudgedLoop
+from deploy.controller.least_rate import CAPPED, IPNM_RANGE, check_rates
 from deploy.controller.limits import REACH
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.gains import Gains, constant_reference
@@ -117,6 +118,8 @@ class Artifact:
         if felt > arm.limits.force:
             remedy = "Choose limits that its own run keeps, or another controller."
             raise InputError("golden_force", f"{felt:.3g} N", f"at most {arm.limits.force:g} N, its limit", remedy)
+        # As on the weakest arm that a run takes, so that none refuses it once it is started.
+        check_rates(arm.limits, self.T_s, (IPNM_RANGE[0],) * 4, CAPPED)
         softest = min(row["stiffness"] for row in self.margins)
         if arm.limits.force > REACH * softest:
             bound = f"at least {arm.limits.force / REACH:g} N/m, into which the force limit sinks the tip by its reach"

@@ -1,9 +1,7 @@
 """Torques within their limits: magnitude, rate, and the two motors that joints 2 and 3 share.
 
-The pucks take whole units, rounded towards −∞ (libbarrett), so every bound is drawn in by what rounding may change:
-with e₁…₄ in [0, 1/IPNM] what the motors lose and N the transmission ratios, the joints get
-
-    τ₁ + N₁ e₁,   τ₂ + N₂ (e₃ − e₂),   τ₃ + N₃ (e₂ + e₃),   τ₄ + N₄ e₄
+The pucks take whole units, rounded towards −∞ (libbarrett), so every bound is drawn in by what rounding may change
+(`deploy.controller.least_rate`).
 
 Joints 2 and 3 must stay where |τ₂/(2 N₂) ∓ τ₃/(2 N₃)| is below the limits of motors 2 and 3. Outside, both are
 scaled down together, which keeps their direction. Where the rate forbids that, they go towards the scaled torque from
@@ -16,13 +14,10 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import NamedTuple
 
+from deploy.controller.least_rate import SLACK, check_rates, lost
 from deploy.controller.limits import Limits
-from jaxmpc.files.errors import InputError
 from jaxmpc.law.transmission import N1, N2, N3, N4
 from jaxmpc.law.vectors import Vector4
-
-SLACK = 1e-9
-"""For the rounding of floating-point arithmetic [N m]."""
 
 
 class Bounds(NamedTuple):
@@ -68,16 +63,9 @@ def bounds(limits: Limits, T_s: float, ipnm: Sequence[float]) -> Bounds:
     Raises:
         InputError: A rate is so slow that rounding could close the way from one torque to the next.
     """
+    check_rates(limits, T_s, ipnm)
     e1, e2, e3, e4 = (1.0 / units for units in ipnm)
-    change = (N1 * e1, N2 * max(e2, e3), N3 * (e2 + e3), N4 * e4)
-    joint, motor = limits.joint_torque, limits.motor_torque
-    of_motors = [e / most for e, most in zip((e1, e2, e3, e4), motor, strict=True)]
-    shrink = max(*of_motors, *(lost / most for lost, most in zip(change, joint, strict=True)))
-    for i, (rate, lost, most) in enumerate(zip(limits.torque_rate, change, joint, strict=True)):
-        least = (lost + shrink * most + 4.0 * SLACK) / T_s
-        if rate < least:
-            remedy = "Allow a faster change, or more torque where the limit is smallest."
-            raise InputError(f"limits.torque_rate[{i}]", rate, f"at least {least:.3g} N m/s at this rate", remedy)
+    change, joint, motor = lost(ipnm), limits.joint_torque, limits.motor_torque
     return Bounds(
         (
             min(joint[0] - change[0], N1 * (motor[0] - e1)) - SLACK,

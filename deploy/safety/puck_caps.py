@@ -9,13 +9,10 @@ the frame, or the run is refused. A motor is asked for no more than its own limi
 from collections.abc import Sequence
 from dataclasses import replace
 
+from deploy.controller.least_rate import CAPPED
 from deploy.controller.limits import Limits
 from deploy.errors import CalibrationError
 from jaxmpc.law.transmission import N1, N2, N3, N4
-
-SHARE = 0.9
-"""Least share of the torque that a controller counts on with which it is still flown [-]: torque is known to a tenth
-(docs/robot.md), and caps of known arms lie at 0.98 to 1.09 of it (MT 4860 units, IPNM 2472 to 2755, wam.md §2.5)."""
 
 
 def within_caps(limits: Limits, caps: Sequence[float]) -> tuple[Limits, str]:
@@ -35,7 +32,7 @@ def within_caps(limits: Limits, caps: Sequence[float]) -> tuple[Limits, str]:
         needed = min(motors[i], by_joints)
         if cap >= needed:
             continue
-        if cap < SHARE * needed:
+        if cap < CAPPED * needed:
             text = f"the puck of motor {i + 1} cuts its torque at {cap:.3g} N m, below the {needed:.3g} that the"
             remedy = f"set its MT with btutil, or freeze with --limits, limits.motor_torque[{i}] {cap:.3g} at most"
             raise CalibrationError(f"{text} controller counts on: {remedy}")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from math import floor, pi
 from typing import Any, Final
 
+from deploy.controller.least_rate import IPNM_RANGE
 from deploy.errors import CalibrationError
 from deploy.puck import properties
 from deploy.puck.codec import LARGEST_TORQUE
@@ -14,8 +15,6 @@ from jaxmpc.law.scalar import apply, apply_transposed
 from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.law.vectors import Vector4
 
-IPNM_RANGE: Final = (2000, 3500)
-"""Torque units per N m that any source knows of, 2472 to 2755, and some room [1/(N m)] (wam.md §2.5)."""
 COUNTS_PER_TURN: Final = (4096, 40960)
 """Counts of a motor encoder's turn, magnetic and old optical ones (wam.md §2.6)."""
 

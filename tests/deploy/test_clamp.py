@@ -292,19 +292,7 @@ def test_zero_and_gravity_are_always_reached(clamp):
             assert np.all(np.abs(np.subtract(last, target)) <= np.add(CHANGE, 1e-9))
 
 
-def test_too_slow_a_rate_is_refused_before_motion(clamp):
-    coarse = replace(LIMITS, joint_torque=(75.6, 101.7, 1.0, 28.8), torque_rate=(10000.0, 200.0, 10000.0, 10000.0))
-    with pytest.raises(InputError, match=r"limits\.torque_rate\[1\] = 200\.0: must be at least 1\.3"):
-        clamp.bounds(coarse, T_S, IPNM)
-    # least = (lost + shrink · most) / T_s, here with shrink from J3: its change over its limit
-    least = (CHANGE[1] + CHANGE[2] / 1.0 * 101.7 + 4e-9) / T_S
-    clamp.bounds(replace(coarse, torque_rate=(10000.0, least * 1.0001, 10000.0, 10000.0)), T_S, IPNM)
-    with pytest.raises(InputError):
-        clamp.bounds(replace(coarse, torque_rate=(10000.0, least * 0.9999, 10000.0, 10000.0)), T_S, IPNM)
-    # … and from motor 2
-    weak = replace(LIMITS, motor_torque=(1.8, 0.1, 1.8, 1.6), torque_rate=(10000.0, 200.0, 10000.0, 10000.0))
-    least = (CHANGE[1] + 1 / 2562 / 0.1 * 20.0) / T_S
-    clamp.bounds(replace(weak, joint_torque=(25, 20, 15, 15)), T_S, IPNM)
-    assert 80 < least < 200
-    with pytest.raises(InputError):
-        clamp.bounds(replace(weak, joint_torque=(25, 60, 15, 15)), T_S, IPNM)
+def test_limits_that_close_the_way_have_no_bounds(clamp):
+    slow = replace(LIMITS, joint_torque=(75.6, 101.7, 1.0, 28.8), torque_rate=(10000.0, 200.0, 10000.0, 10000.0))
+    with pytest.raises(InputError, match=r"limits\.torque_rate\[1\]"):
+        clamp.bounds(slow, T_S, IPNM)

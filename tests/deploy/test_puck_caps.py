@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.controller.least_rate import CAPPED
 from deploy.controller.limits import Limits
 from deploy.doctor_pucks import torque_caps
 from deploy.errors import CalibrationError
 from deploy.safety.clamp import bounds, clamp
-from deploy.safety.puck_caps import SHARE, within_caps
+from deploy.safety.puck_caps import within_caps
 from deploy.wam.pucks import PuckInfo, Pucks
 
 T_S = 1e-3
@@ -30,7 +31,7 @@ def test_usual_caps_change_nothing():
 
 @pytest.mark.parametrize("motor", range(4))
 def test_a_cap_a_little_below_becomes_the_limit_and_is_told(motor):
-    for share in (SHARE + 1e-9, 1.0 - 1e-9):
+    for share in (CAPPED + 1e-9, 1.0 - 1e-9):
         cap = share * NEEDED[motor]
         limits, said = within_caps(LIMITS, capped(motor, cap))
         assert limits == replace(LIMITS, motor_torque=capped(motor, cap))
@@ -42,7 +43,7 @@ def test_a_cap_far_below_is_refused_with_a_remedy(motor):
     with pytest.raises(
         CalibrationError, match=rf"motor {motor + 1} .* counts on: set its MT .*motor_torque\[{motor}\]"
     ):
-        within_caps(LIMITS, capped(motor, (SHARE - 1e-9) * NEEDED[motor]))
+        within_caps(LIMITS, capped(motor, (CAPPED - 1e-9) * NEEDED[motor]))
 
 
 def test_a_controller_that_declares_less_asks_for_less():
