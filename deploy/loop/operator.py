@@ -85,7 +85,8 @@ class Operator:
         """
         self._console, self._signals, self._contact_time, self._duration = console, signals, contact_time, duration
         self._start, self._stop = start, False
-        self._shown: tuple[OperatingState, Reason, Task] | None = None
+        self._shown: tuple[OperatingState, Reason] | None = None
+        self._tasks: set[Task] = set()
         self._state = OperatingState.IDLE
         if keys:
             _forget_typed()
@@ -101,10 +102,14 @@ class Operator:
         )
 
     def each(self, result: CycleResult) -> OperatorCommand:
-        """Show a changed state; return the operator's command."""
+        """Show a changed state, reason or task; return the operator's command."""
         now = result.safety_state
-        if (showing := (now.state, now.reason, result.task)) != self._shown:
-            self._shown, self._state = showing, now.state
+        if (now.state, now.reason) != self._shown:
+            self._shown, self._state = (now.state, now.reason), now.state
+            self._tasks.clear()
+        # Positions that come and go change the task many times a second: each is news once.
+        if result.task not in self._tasks:
+            self._tasks.add(result.task)
             self._console.say(_line(result))
         return self.command
 

@@ -49,6 +49,18 @@ def test_enter_begins_the_approach_and_later_ends_whatever_moves(state, monkeypa
     assert operator.command == OperatorCommand(True, state in BEFORE, ends, False)
 
 
+def test_a_task_that_comes_and_goes_is_told_once():
+    said = []
+    operator = Operator(SimpleNamespace(say=said.append), SimpleNamespace(count=0), lambda: 0.0, 10.0, True, False)
+    old, late = (SafetyState(OperatingState.FAULT, reason) for reason in (Reason.POSITION_OLD, Reason.LATE))
+    for now in (old, late):
+        for task in (Task.GRAVITY, Task.RETRACT) * 50:
+            operator.each(SimpleNamespace(safety_state=now, task=task))
+    operator.each(SimpleNamespace(safety_state=late._replace(let_go=True), task=Task.OFF))
+    ends = ["held against gravity.", "brakes and withdraws."] * 2 + ["let go."]
+    assert all(line.endswith(end) for line, end in zip(said, ends, strict=True))
+
+
 def test_a_second_enter_before_the_approach_ends_nothing(monkeypatch):
     operator = made(start=False)
     monkeypatch.setattr(operator_module.sys, "stdin", io.StringIO("\n\n"))
