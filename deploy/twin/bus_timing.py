@@ -14,7 +14,7 @@ _FOREIGN = (0x600, 0x7F0)
 
 
 class BusTiming:
-    """Frames under way to the host."""
+    """Frames under way to the host, and those from it that are late."""
 
     def __init__(self, bit_rate: float, faults: Sequence[Fault], random: np.random.Generator) -> None:
         """An empty wire.
@@ -26,6 +26,7 @@ class BusTiming:
         """
         self._bit_rate, self._links = bit_rate, Links(faults, random)
         self._waiting: list[tuple[int, int, Frame]] = []
+        self._delayed: list[tuple[int, int, Frame]] = []
         self._order, self._free = count(), 0
 
     def copies(self, targets: Sequence[str], now: float) -> list[float]:
@@ -44,6 +45,16 @@ class BusTiming:
         self._free = max(self._free, at) + round(1e9 * bits / self._bit_rate)
         return self._free
 
+    def delay(self, frame: Frame, at: int) -> None:
+        """Have a frame of the host arrive at a time [ns]."""
+        heapq.heappush(self._delayed, (at, next(self._order), frame))
+
+    def delayed(self, until: int) -> Iterator[tuple[int, Frame]]:
+        """Frames of the host that have arrived by a time, each with its own [ns]."""
+        while self._delayed and self._delayed[0][0] <= until:
+            at, _, frame = heapq.heappop(self._delayed)
+            yield at, frame
+
     def take(self, until: int) -> list[Frame]:
         """Frames that have arrived by a time [ns]."""
         due = []
@@ -52,8 +63,8 @@ class BusTiming:
         return due
 
     def next(self) -> int | None:
-        """Arrival of the next frame [ns], None if none is under way."""
-        return self._waiting[0][0] if self._waiting else None
+        """Arrival of the next frame in either direction [ns], None if none is under way."""
+        return min((queue[0][0] for queue in (self._waiting, self._delayed) if queue), default=None)
 
 
 class BabblingNode:

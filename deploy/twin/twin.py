@@ -95,19 +95,24 @@ class Twin:
         self._wire.carry(frame, at)
         copies = self._wire.copies(("commands",), self.now)
         self.counters["lost"] += not copies
-        for _ in copies:
-            self._obey(frame, at)
+        for late in copies:
+            if late > 0.0:
+                self._wire.delay(frame, at + round(1e9 * late))
+            else:
+                self._obey(frame, at)
 
     def take(self, until_ns: int | None = None) -> list[Frame]:
         """Frames to the host that are there by now, or by a time within the running millisecond [ns]."""
-        due = self._wire.take(self.now_ns if until_ns is None else until_ns)
+        until = self.now_ns if until_ns is None else until_ns
+        self._obey_late(min(until, self.now_ns + MILLISECOND - 1))  # what comes with the next sample meets that one
+        due = self._wire.take(until)
         if self.bus_off:
             due.clear()
         self.counters["sent"] += len(due)
         return due
 
     def next_ns(self) -> int | None:
-        """Time at which the next frame will be there [ns], as far as known."""
+        """Time at which the next frame will be there, or a late one from the host [ns], as far as known."""
         return self._wire.next()
 
     def advance(self) -> None:
@@ -120,6 +125,7 @@ class Twin:
         self.tick += 1
         self._sample()
         self._happen()
+        self._obey_late(self.now_ns)
 
     def press(self, button: str) -> None:
         """Press a button of the pendant: "activate", "idle" or "e-stop".
@@ -165,6 +171,12 @@ class Twin:
             puck.fail(PUCK_ERROR)
             if fault.word == "fault":
                 self._reply(codec.encode_property(puck.node, puck.number["STAT"], puck.stat), self.now_ns)
+
+    def _obey_late(self, until: int) -> None:
+        """Obey the frames of the host that were under way until a time [ns]."""
+        for at, frame in self._wire.delayed(until):
+            if not self.bus_off:
+                self._obey(frame, max(at, self.now_ns))
 
     def _obey(self, frame: Frame, at: int) -> None:
         message = codec.decode(frame)

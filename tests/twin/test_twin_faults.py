@@ -2,11 +2,13 @@
 
 import math
 
+import can
 import numpy as np
 import pytest
 
 from deploy.puck import codec, messages
 from deploy.twin.faults import ENCODERS, WORDS, Distortion, Fault, parse
+from deploy.twin.lockstep import LockstepBus, LockstepClock
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from jaxmpc.files.errors import InputError
@@ -259,6 +261,37 @@ def drive(faults, milliseconds=20):
         told += [(twin.tick, frame) for frame in twin.take()]
         twin.advance()
     return twin, [(tick, frame) for tick, frame in told if frame.id not in (0x423, 0x443, 0x463, 0x483)]
+
+
+@pytest.mark.parametrize("late", [0.4, 1.0, 2.5, 30.0])
+def test_late_commands_are_obeyed_late(late):
+    """To the fraction of a millisecond, questions and torques alike."""
+    twin = Twin(TwinSettings(faults=(f"commands:late={late}",)))
+    twin.press("activate")
+    twin.take()
+    clock = LockstepClock(twin)
+    bus = LockstepBus(clock)
+    for frame in (codec.get(0x404, P), codec.pack_torques((0, -500, 500, 300))):
+        bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
+
+    def torques():
+        return [puck.get(puck.number["T"]) for puck in twin.pucks]
+
+    clock.wait_until(round(1e6 * late) - 1)
+    assert (bus.recv(0.0), torques()) == (None, [0] * 4)
+    came = []
+    while (message := bus.recv(0.005)) is not None:
+        came.append((message.arbitration_id, clock.now()))
+    assert came == [(codec.encode_position(node, 0).id, round(1e6 * late)) for node in (1, 2, 3, 4)]
+    assert torques() == [0, -500, 500, 300]
+
+
+def test_late_commands_are_lost_where_the_bus_goes_off_meanwhile():
+    twin = Twin(TwinSettings(faults=("commands:late=5", "bus:off@0.003")))
+    twin.receive(codec.get(0x404, P))
+    for _ in range(20):
+        twin.advance()
+        assert twin.take() == []
 
 
 def test_a_puck_with_a_fault_falls_idle_and_says_so():
