@@ -102,8 +102,8 @@ class SafetyModule(Device):
         warning, fault = (self.values[self.number[name]] for name in ("TL1", "TL2"))
         if fault and largest > fault:
             self._fault("torque", now)
-        elif largest > warning or not largest:
-            self._words["torque"] = max(self._words["torque"], WARNING) if largest else SAFE
+        elif (largest > warning or not largest) and self._words["torque"] != FAULT:
+            self._words["torque"] = WARNING if largest else SAFE
 
     def heard_position(self, node: int, counts: int, now: float) -> None:
         """Take a puck's position that went by; with the last of the four comes a velocity [counts]."""

@@ -284,6 +284,7 @@ def test_late_commands_are_obeyed_late(late):
         came.append((message.arbitration_id, clock.now()))
     assert came == [(codec.encode_position(node, 0).id, round(1e6 * late)) for node in (1, 2, 3, 4)]
     assert torques() == [0, -500, 500, 300]
+    bus.shutdown()
 
 
 def test_late_commands_are_lost_where_the_bus_goes_off_meanwhile():

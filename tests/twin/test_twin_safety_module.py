@@ -63,6 +63,12 @@ def test_too_much_torque_idles():
     wait(twin, 0.001, (0, 0, -5300, 0))
     assert value(twin, 10, SAFETY["MODE"]) == 1
     assert pendant(twin).faults == ("torque",)
+    # Zero torque clears a warning (wam.md §3.5); a fault waits for somebody at the pendant.
+    for units in ((0, 0, 0, 0), (0, 4800, 0, 0)):
+        wait(twin, 0.001, units)
+        assert pendant(twin).faults == ("torque",)
+    twin.press("idle")
+    assert pendant(twin).faults == ()
 
 
 def test_too_much_speed_idles_and_then_cuts_the_power_if_it_lasts():
