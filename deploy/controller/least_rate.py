@@ -41,14 +41,15 @@ def check_rates(limits: Limits, T_s: float, ipnm: Sequence[float], share: float 
         limits: What may not be exceeded.
         T_s: Time between two frames [s].
         ipnm: Units per motor torque of motors 1–4 (4,) [1/(N m)].
-        share: Of the motors' torque, that their pucks give [-].
+        share: Of the torque that motors and joints need, what the pucks give [-].
 
     Raises:
         InputError: A rate is so slow.
     """
     change = lost(ipnm)
-    of_motors = [1.0 / (units * share * most) for units, most in zip(ipnm, limits.motor_torque, strict=True)]
-    shrink = max(*of_motors, *(each / most for each, most in zip(change, limits.joint_torque, strict=True)))
+    of_motors = [1.0 / (units * most) for units, most in zip(ipnm, limits.motor_torque, strict=True)]
+    of_joints = [each / most for each, most in zip(change, limits.joint_torque, strict=True)]
+    shrink = max(*of_motors, *of_joints) / share
     for i, (rate, each, most) in enumerate(zip(limits.torque_rate, change, limits.joint_torque, strict=True)):
         least = (each + shrink * most + 4.0 * SLACK) / T_s
         if rate < least:

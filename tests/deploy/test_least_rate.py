@@ -9,6 +9,7 @@ from deploy.controller import least_rate as right
 from deploy.controller.file import from_bytes, to_bytes
 from deploy.controller.limits import Limits
 from deploy.safety.clamp import bounds
+from deploy.safety.puck_caps import within_caps
 from jaxmpc.files.errors import InputError
 from tests.deploy.made import arm_artifact
 
@@ -81,3 +82,35 @@ def test_what_is_frozen_is_not_too_slow_for_any_arm():
     artifact = replace(made, arm=replace(made.arm, limits=fine))
     assert from_bytes(to_bytes(artifact)).arm.limits == fine
     assert np.isfinite(bounds(fine, T_S, (2000,) * 4).torque).all()
+
+
+@pytest.mark.parametrize(
+    ("joints", "motors"),
+    [
+        ((4.7, 101.7, 60.0, 28.0), (1.8, 1.8, 1.8, 1.6)),
+        ((75.0, 101.7, 60.0, 2.0), (1.8, 1.8, 1.8, 1.6)),
+        ((75.0, 3.5, 2.0, 28.0), (1.8, 1.8, 1.8, 1.6)),
+        ((70.0, 50.0, 30.0, 14.0), (0.2, 1.8, 1.8, 1.6)),
+        ((70.0, 50.0, 30.0, 14.0), (1.8, 0.2, 0.5, 1.6)),
+    ],
+)
+def test_what_is_frozen_has_bounds_on_the_weakest_arm_that_a_run_takes(joints, motors):
+    """With the coarsest units, and with the lowest caps of the pucks that are not refused."""
+    coarse = (right.IPNM_RANGE[0],) * 4
+    slowest = replace(LIMITS, joint_torque=joints, motor_torque=motors, torque_rate=(12000.0,) * 4)
+    for i in range(4):
+        low, high = 200.0, 12000.0
+        while high - low > 1e-6:
+            rate = 0.5 * (low + high)
+            tried = replace(
+                slowest, torque_rate=tuple(rate if j == i else r for j, r in enumerate(slowest.torque_rate))
+            )
+            try:
+                right.check_rates(tried, T_S, coarse, right.CAPPED)
+                slowest, high = tried, rate
+            except InputError:
+                low = rate
+    shared = joints[1] / 56.5 + joints[2] / 33.631
+    needed = np.minimum(motors, (joints[0] / 42.0, shared, shared, joints[3] / 18.0))
+    assert min(slowest.torque_rate) < 3000.0
+    bounds(within_caps(slowest, (right.CAPPED + 1e-9) * needed)[0], T_S, coarse)
