@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxmpc import Params, design
+from jaxmpc import Params, Timing, design
 from jaxmpc.engine.base import scalars
 from jaxmpc.engine.linear_scan import record, run
 from jaxmpc.engine.scenario import scenario_data
@@ -36,7 +36,7 @@ from jaxmpc.stability.loop import contact_of
 from jaxmpc.world import friction
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import hertz
-from jaxmpc.world.heart.motion import displacement
+from jaxmpc.world.heart.motion import Motion, displacement
 from jaxmpc.world.joint_acceleration import accelerate
 from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla import ops
@@ -176,6 +176,21 @@ def test_a_few_lines_have_the_residual_of_many() -> None:
             gains, contact = design(params), world(params, 810.0, 1, False)
             found, expected = (residual_rms(gains, contact, lines) for lines in (few, many))
             np.testing.assert_allclose(found, expected, rtol=0.015)
+
+
+@pytest.mark.parametrize("T_s", [2e-3, 4e-3])
+def test_a_few_lines_have_the_residual_of_many_at_other_sampling_times(T_s: float) -> None:
+    """Loops cross over at a frequency; where lines were shared out by an angle, two axes missed by 1.2 and 1.7 %."""
+    motion = Motion(phases="random", seed=3)
+    experiment = msgspec.structs.replace(
+        Experiment.published("table-1-wam"), sampling_time=T_s, motion=motion, duration=12.0
+    )
+    few, many = spectrum_of(experiment), spectrum_of(experiment, 2 * experiment.steps)
+    for params in (Params(Khat_s=735.0, K2=6.0, Q_p=1.9, T_cl=3e-3), Params(Khat_s=1230.0, K2=2.0, Q_p=0.6, T_cl=2e-3)):
+        gains = design(params, Timing(T_s))
+        contact = contact_of(810.0, params.K2, experiment.loop_path())
+        found, expected = (residual_rms(gains, contact, lines) for lines in (few, many))
+        np.testing.assert_allclose(found, expected, rtol=0.01)
 
 
 def test_a_spectrum_has_the_power_of_the_record() -> None:
