@@ -11,6 +11,7 @@ from jaxmpc.experiment.reference import Reference
 from jaxmpc.experiment.tables import RESOLVED, ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, plain_name
 from jaxmpc.files.toml import without_arrays
+from jaxmpc.world.cable import fastest_stable
 from jaxmpc.world.heart.motion import Motion
 
 TABLES: Mapping[str, type[msgspec.Struct]] = MappingProxyType(
@@ -71,3 +72,14 @@ def check_together(experiment: Any) -> None:
             f"at most {resolved:g} Hz with arm.substeps = {experiment.arm.substeps} in {experiment.sampling_time:g} s"
         )
         raise InputError("arm.cable_hz", experiment.arm.cable_hz, bound, "Raise arm.substeps.")
+    if experiment.physics == "wam" and experiment.arm.cable_hz:
+        _check_cable(experiment.arm, experiment.sampling_time)
+
+
+def _check_cable(arm: ArmSettings, T_s: float) -> None:
+    """Refuse cables that would swing by the numbers alone: the controller would be blamed for it."""
+    below = fastest_stable(arm.resting(), arm.tool_mass, arm.cable_damping, T_s / arm.substeps)
+    if arm.cable_hz >= below:
+        steps = f"arm.substeps = {arm.substeps} and arm.cable_damping = {arm.cable_damping:g}"
+        bound = f"below {below:.4g} Hz with {steps} in this posture"
+        raise InputError("arm.cable_hz", arm.cable_hz, bound, "Raise arm.substeps or lower arm.cable_damping.")

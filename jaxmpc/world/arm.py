@@ -69,10 +69,13 @@ def chain() -> Chain:
     )
 
 
+@lru_cache(maxsize=1)
 def joint_ranges() -> np.ndarray:
-    """Lower and upper limit of each joint, shape (4, 2) [rad]."""
+    """Lower and upper limit of each joint, shape (4, 2), read-only [rad]."""
     compiled = model()
-    return np.array([compiled.joint(joint).range for joint in JOINTS])
+    ranges = np.array([compiled.joint(joint).range for joint in JOINTS])
+    ranges.setflags(write=False)
+    return ranges
 
 
 def _joint_frame(axis: np.ndarray) -> np.ndarray:

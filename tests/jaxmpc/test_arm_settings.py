@@ -98,6 +98,20 @@ def test_a_cable_is_resolved_by_substeps_of_a_millisecond_at_any_sampling() -> N
     assert Job((Params(),), base, NOMINAL).base.arm.substeps == 10
 
 
+@pytest.mark.parametrize(
+    ("arm", "highest"),
+    [
+        ({"cable_hz": 60.0, "cable_damping": 0.5}, "50.45"),
+        ({"cable_hz": 100.0, "posture": [-1.9, 0.89, 0.14, 0.36]}, "92.02"),
+    ],
+)
+def test_cables_that_the_numbers_alone_would_swing_are_refused(arm: dict[str, Any], highest: str) -> None:
+    """Of the most cautious controller both had said that it diverged, within 52 and 35 ms."""
+    with pytest.raises(InputError, match=rf"arm\.cable_hz = .*: must be below {highest} Hz with arm\.substeps = 1"):
+        Experiment.from_dict({"physics": "wam", "arm": arm})
+    assert Experiment.from_dict({"physics": "wam", "arm": {**arm, "substeps": 2}}).arm.substeps == 2
+
+
 @pytest.mark.parametrize("text", ["[arm]\nsubsteps = 2", "[arm]\ncable_hz = 20.0"])
 def test_stock_mjx_has_neither_substeps_nor_cables(tmp_path: Path, text: str) -> None:
     found = refused(tmp_path, 'physics = "mjx"\n' + text)

@@ -18,9 +18,10 @@ from jaxmpc.law import cascade
 from jaxmpc.law.gains import Gains
 from jaxmpc.synthesis.force_filter import cutoff_of, force_filter
 from jaxmpc.world import robot as world
-from jaxmpc.world.arm import chain, model, tip_at
+from jaxmpc.world.arm import chain, link_inertias, model, tip_at
+from jaxmpc.world.cable import fastest_stable
 from jaxmpc.world.joint_acceleration import accelerate
-from jaxmpc.world.robot import HeartSample, RobotStructure
+from jaxmpc.world.robot import Cable, HeartSample, RobotStructure
 
 FLOATS = SimpleNamespace(
     sin=math.sin,
@@ -176,6 +177,28 @@ def test_a_cable_rings_at_its_frequency_against_a_locked_motor(joint, hertz, rat
     found = decrement / np.hypot(2.0 * np.pi, decrement)
     assert found == pytest.approx(ratio, rel=0.02)
     assert 1.0 / period / np.sqrt(1.0 - found**2) == pytest.approx(hertz, rel=0.005)
+
+
+@pytest.mark.parametrize("posture", [(0.0, 0.7, 0.0, 2.2), (-1.9, 0.89, 0.14, 0.36)])
+@pytest.mark.parametrize("damping", [0.0, 0.05, 1.0])
+def test_steps_are_stable_up_to_the_cable_mode_that_is_told(posture, damping):
+    """A free arm without gravity, a hair from rest: 7 % below it stays there, 7 % above it is gone."""
+    floating, kind = CHAIN._replace(gravity=(0.0, 0.0, 0.0)), RobotStructure(cable=True)
+    highest = fastest_stable(posture, 0.5, damping, 1e-3)
+    for share, stays in ((0.93, True), (1.07, False)):
+        of = robot(cable_hz=1.0, viscous=NONE, posture=posture, tool_mass=0.5)
+        omega = 2.0 * math.pi * share * highest
+        springs = tuple(omega**2 * inertia for inertia in link_inertias(posture))
+        of = of._replace(cable=Cable(springs, tuple(2.0 * damping / omega * each for each in springs)))
+        state = world.init(floating, kind, of, 0.0, FLOATS)
+        state = state._replace(q=tuple(x + 1e-9 * (i + 1.0) for i, x in enumerate(state.q)))
+        stretched = 0.0
+        for _ in range(80):
+            (state,) = run(kind, of, state, NONE, 1e-3, floating)
+            stretched = max(abs(theta - q) for theta, q in zip(state.motor[0], state.q, strict=True))
+            if stretched > 1e-7:
+                break
+        assert (stretched < 1e-7) == stays
 
 
 @pytest.mark.oracle

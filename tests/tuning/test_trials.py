@@ -176,8 +176,9 @@ def test_a_trial_depends_on_its_seed_and_number_alone() -> None:
         ({}, HARD),
         ({"mass_error": 0.1, "nominal_coulomb": (0.0, 2.0, 1.0, 0.5)}, NOMINAL),
         ({"cable_hz": 40.0, "cable_damping": 0.07}, Spread((400.0, 900.0), Scenarios(), substeps=2)),
+        ({"cable_damping": 1.0}, NOMINAL),
     ],
-    ids=["stress", "believed otherwise", "of the experiment"],
+    ids=["stress", "believed otherwise", "of the experiment", "damped less than the experiment's"],
 )
 def test_what_sets_trials_apart_is_what_they_have(changes: dict[str, Any], spread: Spread) -> None:
     """Numbers drawn without an experiment around them, against the experiments themselves, over two blocks' motions."""

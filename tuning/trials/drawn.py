@@ -112,7 +112,9 @@ class Job:
             check_sampling(params, self.base.sampling_time)
         # Those of the spread are for 1 ms.
         resolving = ceil(self.spread.substeps * max(1.0, self.base.sampling_time / 1e-3) - 1e-9)
-        arm = replace(self.base.arm, substeps=max(self.base.arm.substeps, resolving))
+        # No trial's cables are damped more, and those of more might need more substeps.
+        damping = min(self.base.arm.cable_damping, max(self.spread.cable_damping or (1.0,)))
+        arm = replace(self.base.arm, substeps=max(self.base.arm.substeps, resolving), cable_damping=damping)
         short = replace(self.base, duration=DURATION, settle=SETTLE, arm=arm)
         object.__setattr__(self, "base", short)
 
