@@ -73,9 +73,10 @@ def test_only_the_standard_linear_solid_carries_state_and_what_is_touched_its_an
 
 @BOTH
 @EVERY
-@pytest.mark.parametrize("stiffness", [300.0, 810.0, 2500.0])
+@pytest.mark.parametrize("stiffness", [300.0, 810.0, 2500.0, 1e4])
 def test_the_secant_at_five_newton_is_the_stiffness(kind, attached, stiffness):
-    assert normal(kind, attached, 5.0 / stiffness, tissue=Tissue(stiffness)) == pytest.approx(5.0, rel=1e-3)
+    near = 1e-3 if stiffness < 5e3 else 3e-3
+    assert normal(kind, attached, 5.0 / stiffness, tissue=Tissue(stiffness)) == pytest.approx(5.0, rel=near)
 
 
 @BOTH

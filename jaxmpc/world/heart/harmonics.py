@@ -60,7 +60,8 @@ def heartbeat(cardiac_phase: np.ndarray, phase_seed: int | None = None) -> tuple
 
     Args:
         cardiac_phase: Cycles since a beat's onset, shape (n,) [cycles]. With the table's phases the stroke
-            and its return take the first 0.4 of each cycle; the rest is nearly flat.
+            and most of its return take the first 0.4 of each cycle. The rest moves a fifth to a quarter as fast (RMS),
+            its last half by 0.05 to 0.11 of the whole stroke.
         phase_seed: As in `harmonic_motion`.
 
     Returns:

@@ -1,8 +1,8 @@
 """What every law of a tissue is: force of the tip on it, held by it or merely touching.
 
 With d = x_tip − x_heart per axis, Z up, indentation δ = −d_z and y the force on the tissue, K_s is the secant stiffness
-at 5 N for each law at its first loading. An attached tissue pulls as it pushes. One that merely touches never pulls;
-there is no kink, because δ enters through
+at 5 N for each law at its first loading, to 0.3 % up to 10 kN/m: on stiffer tissue 5 N press no deeper than some w. An
+attached tissue pulls as it pushes. One that merely touches never pulls; there is no kink, because δ enters through
 
     p(δ) = (δ + r)² / 4r,  r = √(δ² + w²):   → δ in contact, → 0 as w⁴ away from it, p ≥ 0, p′ ≥ 0, p″ ≥ 0
 
