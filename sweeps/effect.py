@@ -15,6 +15,11 @@ from sweeps.targets import OWN_FILTERS
 
 DAMPING_FILTERS = ("velocity_lowpass", "velocity_cutoff")
 """What only damping by a sampled velocity passes through."""
+MOTION_DRAWN = frozenset(
+    f"motion.{key}"
+    for key in ("kind", "phases", "rhythm", "rr_variation", "heart_rate_drift", "amplitude_spread", "drift")
+)
+"""What decides whether a motion's seed draws anything."""
 
 
 class Need(NamedTuple):
@@ -122,9 +127,9 @@ def check_effect(spec: Any) -> None:
         if name in DAMPING_FILTERS and linear and "damping" not in swept:
             if all(each.damping == "ideal" for each in met):
                 raise _idle(name, "where the damping is sampled", 'Set experiment.damping = "sampled".')
-        if name == "motion.seed" and not swept & {"motion.kind", "motion.phases"}:
+        if name == "motion.seed" and not swept & MOTION_DRAWN:
             if not any(each.motion.drawn for each in met):
-                remedy = 'Set motion.kind = "rhythm" or motion.phases = "random".'
+                remedy = 'Set motion.phases = "random", or a motion.rhythm that draws its beats, such as "variability".'
                 raise _idle(name, "where something of the heart's motion is drawn", remedy)
 
 

@@ -277,6 +277,27 @@ def test_baseline_drifts_at_its_rate() -> None:
     np.testing.assert_allclose(np.linalg.norm(drifted, axis=1), [0.0, 0.002, 0.004])
 
 
+@pytest.mark.parametrize(
+    "motion",
+    [
+        *(rhythmic(name) for name in ("steady", "rate-step", "variability", "premature", "bigeminy", "fibrillation")),
+        rhythmic("variability", rr_variation=0.0, heart_rate_drift=0.0),
+        rhythmic(ventilation="cough"),
+        rhythmic(amplitude_spread=0.1),
+        rhythmic(drift=1e-3),
+        rhythmic(phases="random"),
+        Motion(),
+        Motion(phases="random"),
+        Motion(kind="none"),
+    ],
+    ids=str,
+)
+def test_a_motion_that_says_it_is_drawn_is_another_one_from_another_seed(motion: Motion) -> None:
+    t = np.arange(0.0, 40.0, 0.02)
+    one, other = (displacement(msgspec.structs.replace(motion, seed=seed), t)[0] for seed in (0, 1))
+    assert motion.drawn == (not np.array_equal(one, other))
+
+
 def test_amplitudes_are_drawn_once_per_axis_within_their_spread() -> None:
     t = np.arange(5.0, 20.0, 0.1)
     free = displacement(rhythmic(), t)[0]

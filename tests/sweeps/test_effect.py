@@ -13,6 +13,9 @@ IDLE: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = {
     "the scale of no motion": ({"motion": {"kind": "none"}}, {}, {"motion.scale": [0.5, 1.0]}, "the heart moves"),
     "phases of no motion": ({"motion": {"kind": "none"}}, {}, {"motion.phases": ["table", "random"]}, "has phases"),
     "the unit of no recording": ({}, {}, {"motion.unit": ["m", "mm"]}, "a recording is played"),
+    "the seed of a steady rhythm": (
+        {"motion": {"kind": "rhythm"}}, {}, {"motion.seed": [0, 1]}, "something of the heart's motion is drawn"
+    ),
     "friction that nothing is done about": (
         ARM, {}, {"arm.nominal_presliding": [1e-3, 2e-3]}, "friction is compensated"
     ),
@@ -30,6 +33,9 @@ IDLE: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = {
 ACTING: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
     "a guard on the arm": (ARM, {}, {"guarded": [True, False]}),
     "a scale beside no motion": ({}, {}, {"motion.scale": [0.5, 1.0], "motion.kind": ["none", "harmonics"]}),
+    "the seed of some rhythm": (
+        {"motion": {"kind": "rhythm"}}, {}, {"motion.seed": [0, 1], "motion.rhythm": ["steady", "premature"]}
+    ),
     "friction that is compensated": (ARM | {"arm": {"compensation": 0.5}}, {}, {"arm.nominal_presliding": [1e-3]}),
     "the damping of cables": (ARM, {}, {"arm.cable_damping": [0.03, 0.1], "arm.cable_hz": [0.0, 60.0]}),
     "weights of some": ({}, {"architecture": "aob"}, {"lam": [0.1, 0.2], "architecture": ["aob", "mpc-aob"]}),

@@ -94,7 +94,12 @@ def test_worlds_that_cannot_be_are_refused(axes: dict[str, object], words: list[
     [
         ({}, ["motion.seed"], ["sweep.axes.motion.seed", "is drawn", 'motion.phases = "random"']),
         ({"motion": {"phases": "random"}}, ["motion.seed"], None),
-        ({"motion": {"kind": "rhythm"}}, ["motion.seed"], None),
+        (
+            {"motion": {"kind": "rhythm"}},
+            ["motion.seed"],
+            ["sweep.axes.motion.seed", "is drawn", "a motion.rhythm that"],
+        ),
+        ({"motion": {"kind": "rhythm", "rhythm": "premature"}}, ["motion.seed"], None),
         ({"motion": {"kind": "none", "phases": "random"}}, ["motion.seed"], ["sweep.axes.motion.seed"]),
         ({}, ["motion.phases", "motion.seed"], None),
         ({"published": "table-1-wam"}, ["tissue.viscosity"], ["where the tissue is of the law kelvin-voigt"]),
@@ -130,7 +135,7 @@ def test_an_axis_of_no_effect_is_refused(
 
 
 def test_an_axis_of_which_the_rerun_alone_depends_is_taken() -> None:
-    motion = {"motion": {"kind": "rhythm"}}
+    motion = {"motion": {"kind": "rhythm", "rhythm": "premature"}}
     sweep = {"kind": "grid", "axes": {"motion.seed": [1, 2]}}
     SweepSpec.from_dict({"sweep": sweep, "refine": {"method": "none", "rerun": {"experiment": motion}}})
 

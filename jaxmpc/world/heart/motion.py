@@ -49,7 +49,9 @@ class Motion(RhythmSettings, frozen=True, forbid_unknown_fields=True):
     @property
     def drawn(self) -> bool:
         """Whether its seed draws anything."""
-        return self.kind == "rhythm" or (self.kind == "harmonics" and self.phases == "random")
+        if self.kind == "rhythm" and (self.draws_beats or self.amplitude_spread or self.drift):
+            return True
+        return self.kind in ("harmonics", "rhythm") and self.phases == "random"
 
 
 _OF_RHYTHMS = {field.name: field.default for field in msgspec.structs.fields(RhythmSettings) if field.name != "seed"}

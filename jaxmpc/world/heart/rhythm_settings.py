@@ -45,3 +45,10 @@ class RhythmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Half-width of a factor on the amplitude about 1, drawn once per axis [-] (chosen here: 0.3)."""
     drift: Annotated[float, msgspec.Meta(ge=0.0, le=0.02)] = 0.0
     """Drift of the baseline in a drawn direction, not scaled [m/min] (chosen here: 0.002)."""
+
+    @property
+    def draws_beats(self) -> bool:
+        """Whether its seed draws when the heart beats, or how strongly."""
+        if self.rhythm == "variability":
+            return self.rr_variation > 0.0 or self.heart_rate_drift > 0.0
+        return self.rhythm in ("premature", "bigeminy", "fibrillation")
