@@ -81,5 +81,5 @@ def _check_cable(arm: ArmSettings, T_s: float) -> None:
     below = fastest_stable(arm.resting(), arm.tool_mass, arm.cable_damping, T_s / arm.substeps)
     if arm.cable_hz >= below:
         steps = f"arm.substeps = {arm.substeps} and arm.cable_damping = {arm.cable_damping:g}"
-        bound = f"below {below:.4g} Hz with {steps} in this posture"
+        bound = f"within what steps bear, a cable mode below {below:.4g} Hz with {steps} in this posture"
         raise InputError("arm.cable_hz", arm.cable_hz, bound, "Raise arm.substeps or lower arm.cable_damping.")

@@ -75,6 +75,10 @@ def test_the_example_of_the_guide_works() -> None:
     [
         ({"delay": [1, 3]}, ["sweep.axes.delay = 3", "<= 2"]),
         ({"arm.cable_hz": [0.0, 250.0]}, ["sweep.axes.arm.cable_hz = 250", "arm.substeps"]),
+        (
+            {"arm.cable_hz": [40.0], "arm.cable_damping": [0.05, 1.0], "physics": ["wam"], "damping": ["sampled"]},
+            ["sweep.axes.arm.cable_hz = 40", "arm.cable_damping = 1"],
+        ),
         ({"tissue.kind": ["elastic", "fung"]}, ["sweep.axes.tissue.kind = fung", 'physics = "wam"']),
         ({"arm.coulom": [1.0]}, ["sweep.axes.arm.coulom", "Did you mean 'arm.coulomb'"]),
         ({"arm.posture.7": [1.0]}, ["sweep.axes.arm.posture.7", "an entry that is there"]),
