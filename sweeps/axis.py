@@ -12,6 +12,8 @@ from sweeps.targets import COUNTED, STRUCTURAL, target
 
 Scale = Literal["list", "linear", "log", "choice"]
 Drawn = Literal["random", "sobol"]
+EXACT = 2**53
+"""From here on a column, of float64, does not hold every whole number."""
 
 
 class SweepAxis(msgspec.Struct, frozen=True):
@@ -53,9 +55,9 @@ class SweepAxis(msgspec.Struct, frozen=True):
         return self.scale in ("linear", "log")
 
     def label(self, value: float) -> str:
-        """An entry of its column, for people."""
+        """An entry of its column, for people; of what counts every digit."""
         if self.numeric:
-            return f"{value:.6g}"
+            return f"{value:.0f}" if whole(self.name) and not self.relative else f"{value:.6g}"
         return self.labels[int(value)] if self.labels else str(self.values[int(value)])
 
     def setting(self, value: float, base: Any) -> Any:
@@ -67,10 +69,11 @@ class SweepAxis(msgspec.Struct, frozen=True):
         """
         if not self.numeric:
             return self.values[int(value)]
-        if self.relative:
-            return [value * each for each in base] if isinstance(base, list | tuple) else value * base
+        if self.relative and isinstance(base, list | tuple):
+            return [value * each for each in base]
+        found = value * base if self.relative else value
         # The experiment's tables tell whole numbers from others.
-        return int(value) if isinstance(base, int) and value == int(value) else value
+        return int(found) if isinstance(base, int) and found == int(found) else found
 
     def column(self) -> np.ndarray:
         """Its points as entries of a column, (points,)."""
@@ -131,7 +134,7 @@ def make_axis(
             raise InputError(key, "[]", "at least one value", "List values, or remove the axis.")
         if scale == "list":
             _check_numbers(name, scale, values, relative)
-        if not (repeats and scale == "list") and len({repr(value) for value in values}) != len(values):
+        if not (repeats and scale == "list") and len(set(map(identity, values))) != len(values):
             raise InputError(key, list(values), "free of repetition", "Each row of a sweep exists once.")
         return SweepAxis(name, scale, values, relative, labels)
     _check_numbers(name, scale, values, relative)
@@ -148,6 +151,17 @@ def make_axis(
     # Rounding can make neighbours equal; each stays once.
     entries = dict.fromkeys((np.round(spaced) if whole(name) else spaced).tolist())
     return SweepAxis(name, scale, tuple(entries), relative)
+
+
+def identity(value: Any) -> str:
+    """What is the same of equal values however they are written: 1 and 1.0, 0 and −0.0, tables in any order."""
+    if isinstance(value, dict):
+        return repr(sorted((key, identity(each)) for key, each in value.items()))
+    if isinstance(value, list | tuple):
+        return repr([*map(identity, value)])
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    # A negative zero and a positive one make a positive one.
+    return repr(float(value) + 0.0 if number else value)
 
 
 def uniforms(kind: Drawn, rows: int, dimensions: int, seed: int) -> np.ndarray:
@@ -176,8 +190,13 @@ def _check_numbers(name: str, scale: Scale, values: tuple[Any, ...], relative: b
         wrong = not math.isfinite(value) or not low <= value <= high or (positive and value <= 0.0)
         if wrong:
             raise InputError(key, value, bound, f"Correct the values of {name}.")
-        if whole(name) and not relative and value != int(value):
-            raise InputError(key, value, "a whole number", f"Round the values of {name}.")
+        if whole(name) and not relative:
+            if value != int(value):
+                raise InputError(key, value, "a whole number", f"Round the values of {name}.")
+            if value >= EXACT:
+                raise InputError(
+                    key, value, f"a whole number below {EXACT}", "Columns of float64 do not hold larger ones."
+                )
 
 
 def choice_only(name: str) -> bool:

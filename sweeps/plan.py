@@ -219,7 +219,8 @@ def describe(plan: Plan) -> str:
         for axis in factor:
             ends = ", ".join(map(axis.label, range(len(axis.values))))
             if axis.numeric:
-                ends = f"{min(axis.values):.6g} … {max(axis.values):.6g} {axis.unit}".removesuffix(" -")
+                low, high = axis.label(min(axis.values)), axis.label(max(axis.values))
+                ends = f"{low} … {high} {axis.unit}".removesuffix(" -")
             points = (
                 f"{len(axis.values)} values" if space.kind == "grid" or axis.scale in ("list", "choice") else "drawn"
             )

@@ -16,7 +16,7 @@ from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.toml import convert, known_keys
 from jaxmpc.quantities import HORIZONS, PARAMETERS
 from jaxmpc.synthesis.params import Params
-from sweeps.axis import Scale, SweepAxis, choice_only, make_axis
+from sweeps.axis import Scale, SweepAxis, choice_only, identity, make_axis
 from sweeps.rows import meetings, world_of
 from sweeps.space import Factor, SpaceKind, SweepSpace, make_space
 from sweeps.tables import RANGE_KEYS, Ends, Range, SweepTable
@@ -70,7 +70,7 @@ def read_space(table: SweepTable, params: Params, experiment: Experiment, folder
         if len(axes) < 2:
             raise InputError("sweep.zip", list(group), "two axes or more", "Write a single axis under [sweep.axes].")
         # Axes of unequal length are refused later on, or drawn from.
-        points = Counter(zip(*(map(repr, axis.values) for axis in axes), strict=False))
+        points = Counter(zip(*(map(identity, axis.values) for axis in axes), strict=False))
         point, times = points.most_common(1)[0]
         if times > 1:
             raise InputError("sweep.zip", ", ".join(point), "free of repetition", "Each row of a sweep exists once.")

@@ -55,10 +55,14 @@ def _axis(axis: SweepAxis, values: np.ndarray) -> Measure:
     if axis.name in PARAMETERS and axis.numeric and not axis.relative:
         return measure(PARAMETERS[axis.name], values)
     text = "of the base's" if axis.relative else "of the world" if axis.of_world else "of the controller"
-    if not axis.numeric:
-        text = "; ".join(f"{k}: {axis.label(k)}" for k in range(len(axis.values)))
+    text = text if axis.numeric else _words(axis)
     counts = not axis.numeric or (whole(axis.name) and not axis.relative)
     return Measure(axis.name, axis.name, axis.unit, text, values, "parameter", whole=counts)
+
+
+def _words(axis: SweepAxis) -> str:
+    """What the places of a choice stand for."""
+    return "; ".join(f"{k}: {axis.label(k)}" for k in range(len(axis.values)))
 
 
 def template(result: Result) -> list[str | Swept]:
@@ -75,6 +79,7 @@ def template(result: Result) -> list[str | Swept]:
     head: list[str | Swept] = ["# ", Swept("row"), f" of a sweep, spec {result.plan.spec_hash}\n"]
     for axis in result.axes:
         if axis.of_world:
-            head += [f"# It met {axis.name} = ", Swept(axis.name), "\n"]
+            means = "" if axis.numeric else f" ({_words(axis)})"
+            head += [f"# It met {axis.name} = ", Swept(axis.name), f"{means}{' times the base' * axis.relative}\n"]
     head.append("# Freeze it: jaxmpc freeze params.toml -o controller.npz\n")
     return [*head, *(Swept(piece) if k % 2 else piece for k, piece in enumerate(pieces))]

@@ -131,7 +131,9 @@ def write_params(result: "Result", path: Path) -> None:
     from jaxmpc.files.toml import write_toml
 
     worlds = ", ".join(
-        f"{axis.name} {axis.label(float(result[axis.name][0]))}" for axis in result.axes if axis.of_world
+        f"{axis.name} {axis.label(float(result[axis.name][0]))}{' times the base' * axis.relative}"
+        for axis in result.axes
+        if axis.of_world
     )
     note = f"Row {result['row'][0]} of a sweep, spec {result.plan.spec_hash}"
     write_toml(path, {"params": result.controller(0).to_dict()}, note + (f"\nIt met {worlds}" if worlds else ""))

@@ -1,10 +1,13 @@
 """Row number → parameters: enumerated as written, independent of everything else."""
 
 import itertools
+import re
+from typing import Any
 
 import numpy as np
 import pytest
 
+from jaxmpc.files.errors import InputError
 from sweeps.axis import SweepAxis, make_axis
 from sweeps.space import SweepSpace, make_space
 
@@ -74,3 +77,32 @@ def test_ranges_end_where_they_are_told_to_and_horizons_are_whole() -> None:
     assert make_axis("lam", "log", (1e-3, 10.0), 5).values == pytest.approx((1e-3, 1e-2, 0.1, 1.0, 10.0))
     assert make_axis("Hp", "log", (5.0, 60.0), 4).values == (5.0, 11.0, 26.0, 60.0)
     assert make_axis("Hu", "linear", (1.0, 3.0), 10).values == (1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize("seed", [2**53, 2**53 + 1, 2**63 - 1])
+def test_a_number_that_no_column_holds_is_refused(seed: int) -> None:
+    """A column is of float64: 2^53 + 1 ran as 2^53, without a word."""
+    with pytest.raises(InputError, match=re.escape("sweep.axes.motion.seed = ") + ".* below 9007199254740992"):
+        make_axis("motion.seed", "list", (1, seed), None)
+    make_axis("motion.seed", "list", (1, 2**53 - 1), None)
+
+
+def test_what_counts_is_told_to_the_last_digit() -> None:
+    """Seeds that are dates were all told as 2.02611e+07."""
+    axis = make_axis("motion.seed", "list", (20261129, 20261130, 2**53 - 1), None)
+    assert [axis.label(value) for value in axis.column()] == ["20261129", "20261130", "9007199254740991"]
+    assert SweepAxis("arm.encoder_counts", "list", (0.25, 1.0), relative=True).label(0.25) == "0.25"
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "values"),
+    [
+        ("Q_x", "list", (0.0, -0.0)),
+        ("arm.coulomb", "choice", ((1, 1, 1, 0), (1.0, 1.0, 1.0, -0.0))),
+        ("stiffness", "choice", ((375.0, 810.0), (375, 810))),
+        ("reference.z", "choice", (({"kind": "hold", "force": -5},), ({"force": -5.0, "kind": "hold"},))),
+    ],
+)
+def test_what_is_one_value_however_it_is_written_stands_once(name: str, scale: Any, values: tuple[Any, ...]) -> None:
+    with pytest.raises(InputError, match="must be free of repetition"):
+        make_axis(name, scale, values, None)

@@ -10,6 +10,7 @@ import pytest
 from jaxmpc.files.errors import InputError
 from sweeps.plan import make_plan
 from sweeps.spec import SweepSpec
+from sweeps.targets import read
 
 Write = Callable[[str], Path]
 Command = Callable[..., int]
@@ -184,6 +185,26 @@ def test_a_zipped_list_may_hold_a_number_twice() -> None:
     table = {"kind": "grid", "zip": [{"Hp": [10, 20, 20], "Hu": [3, 5, 5]}]}
     with pytest.raises(InputError, match=r"sweep\.zip = 20\.0, 5\.0: must be free of repetition"):
         SweepSpec.from_dict({"sweep": table})
+
+
+def test_points_that_are_zipped_are_told_apart_by_what_they_are() -> None:
+    table = {"kind": "grid", "zip": [{"Q_x": [0.0, -0.0], "K2": [5, 5.0]}]}
+    with pytest.raises(InputError, match=r"sweep\.zip = .*: must be free of repetition"):
+        SweepSpec.from_dict({"sweep": table})
+
+
+@pytest.mark.parametrize("name", ["delay", "arm.encoder_counts", "arm.substeps", "disturbance_order"])
+def test_what_is_counted_is_multiplied_to_whole_numbers(name: str) -> None:
+    """Refused: `delay = 1: must be a whole number, got a number. It makes delay = 1.0`."""
+    data = {"experiment": {"published": "table-1-wam"}, "params": {"published": "text"}}
+    axes = {name: {"values": [1, 2], "relative": True}}
+    spec = SweepSpec.from_dict({**data, "sweep": {"kind": "grid", "axes": axes}})
+    (axis,), own = spec.space.axes, read(name, spec.params, spec.experiment.to_dict())
+    assert [axis.setting(value, own) for value in axis.values] == [own, 2 * own]
+    assert {type(axis.setting(value, own)) for value in axis.values} == {int}
+    axes = {name: {"values": [1, 1.3], "relative": True}}
+    with pytest.raises(InputError, match=f"sweep.axes.{name} = 1.3: must be "):
+        SweepSpec.from_dict({**data, "sweep": {"kind": "grid", "axes": axes}})
 
 
 def test_what_is_counted_is_drawn_in_whole_numbers() -> None:

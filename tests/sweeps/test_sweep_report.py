@@ -13,7 +13,7 @@ from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps.axis import SweepAxis
 from sweeps.judged import Point
-from sweeps.plan import Plan, make_plan
+from sweeps.plan import Plan, describe, make_plan
 from sweeps.result import Result
 from sweeps.show.best_rows import table
 from sweeps.show.candidates import candidates, template
@@ -94,6 +94,21 @@ def test_the_params_toml_of_a_row_is_its_controller(finished: Finished, tmp_path
     text = "".join(piece if isinstance(piece, str) else str(values[piece.name]) for piece in pieces)
     (tmp_path / "params.toml").write_text(text)
     assert Params.from_toml(tmp_path / "params.toml").to_dict() == result.controller(7).to_dict()
+
+
+def test_the_params_toml_of_a_row_says_in_words_what_it_met(finished: Finished) -> None:
+    """It said "It met physics = 1", which nobody can know who has that file alone."""
+    plan = finished[1].plan
+    axes: tuple[SweepAxis, ...] = (SweepAxis("physics", "choice", ("linear", "wam")),)
+    axes += (SweepAxis("motion.seed", "list", (20261129.0, 5.0)),)
+    axes += (SweepAxis("stiffness", "list", (0.5,), relative=True),)
+    space = SweepSpace("grid", tuple((axis,) for axis in axes), 4, 0, plan.space.horizons)
+    swept = Plan({**plan.canonical, "space": msgspec.to_builtins(space)})
+    pieces = template(Result(swept, {"row": np.arange(4), **space.columns(np.arange(4))}))
+    text = "".join(piece if isinstance(piece, str) else f"<{piece.name}>" for piece in pieces)
+    assert "# It met physics = <physics> (0: linear; 1: wam)\n# It met motion.seed = <motion.seed>\n" in text
+    assert "# It met stiffness = <stiffness> times the base\n" in text
+    assert "motion.seed 5 … 20261129, 2 values" in describe(swept)
 
 
 def test_what_counts_is_written_as_a_whole_number() -> None:
