@@ -1,5 +1,6 @@
 """Scenarios: what a seed draws, and that a scene of many is each of them."""
 
+import re
 from typing import Any, get_args
 
 import jax
@@ -9,8 +10,9 @@ import pytest
 
 from jaxmpc import Experiment, Params, evaluate
 from jaxmpc.experiment.reference import Reference
+from jaxmpc.experiment.tables import Change, softening
 from jaxmpc.files.errors import InputError
-from tuning.job.scenarios import Rhythm, Scenarios, _data, describe, scenario, scenarios
+from tuning.job.scenarios import Rhythm, Scenarios, _data, describe, draw, scenario, scenarios
 from tuning.objective.comparison import compare
 
 ARM = msgspec.structs.replace(Experiment.published("table-1-wam"), duration=0.5, settle=0.1, reference=Reference())
@@ -53,6 +55,24 @@ def test_events_fall_into_a_short_run() -> None:
         settings = Scenarios(rhythms=(rhythm,))
         motion = scenario(msgspec.structs.replace(ARM, duration=6.0, settle=2.0), settings, 0).motion
         assert 2.0 < (motion.rate_step_at if rhythm == "rate-step" else motion.ventilation_at) < 4.0
+
+
+def test_tissue_that_changes_stays_as_much_stiffer_as_was_drawn() -> None:
+    """After its first change it had the experiment's stiffness again, whatever had been drawn."""
+    turning = msgspec.structs.replace(ARM.tissue, changes=(Change(0.2, 4.0, 0.1), Change(0.4, 0.5, 0.0)))
+    one = scenario(msgspec.structs.replace(ARM, tissue=turning), WIDE, 5)
+    factor = draw(ARM, WIDE, 5).stiffness
+    assert abs(factor - 1.0) > 0.01
+    times = np.array([0.1, 0.25, 0.35, 0.45])
+    np.testing.assert_allclose(softening(one.tissue, times), factor * softening(turning, times))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_joint_without_friction_has_a_factor_of_one() -> None:
+    """It was told as nan, beside a warning of numpy's."""
+    arm = msgspec.structs.replace(ARM.arm, coulomb=(0.0, 2.0, 1.0, 0.0))
+    said = describe(scenario(msgspec.structs.replace(ARM, arm=arm), Scenarios(friction=0.3), 5))
+    assert re.search(r"friction × 1\.00, [01]\.\d\d, [01]\.\d\d, 1\.00;", said)
 
 
 @pytest.mark.oracle

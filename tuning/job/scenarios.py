@@ -132,7 +132,9 @@ def scenario(base: Experiment, settings: Scenarios, seed: int) -> Experiment:
         return drawn
     own, arm, tissue = draw(base, settings, seed), base.arm, base.tissue
     if settings.stiffness:
-        tissue = msgspec.structs.replace(tissue, changes=(Change(0.0, own.stiffness, 0.0), *tissue.changes))
+        # A change tells the stiffness over the experiment's, not over what was drawn.
+        later = (msgspec.structs.replace(each, factor=own.stiffness * each.factor) for each in tissue.changes)
+        tissue = msgspec.structs.replace(tissue, changes=(Change(0.0, own.stiffness, 0.0), *later))
     arm = msgspec.structs.replace(
         arm,
         coulomb=tuple((own.friction * arm.coulomb).tolist()),
@@ -177,9 +179,9 @@ def describe(experiment: Experiment) -> str:
     name = events[motion.ventilation] if motion.kind == "rhythm" else motion.kind
     words = [f"{name}, seed {motion.seed}"]
     if experiment.physics != "linear":
-        nominal = arm.nominal_coulomb or arm.coulomb
-        factors = ", ".join(f"{f:.2f}" for f in np.divide(arm.coulomb, nominal))
-        words += [f"friction × {factors}", f"masses believed {100 * arm.mass_error:+.0f} %"]
+        nominal = np.array(arm.nominal_coulomb or arm.coulomb)
+        factors = np.divide(arm.coulomb, nominal, out=np.ones(len(nominal)), where=nominal != 0.0)
+        words += [f"friction × {', '.join(f'{factor:.2f}' for factor in factors)}", f"masses believed {100 * arm.mass_error:+.0f} %"]
         words += [f"delay {experiment.delay}"] if experiment.delay > 1 else []
         words += [f"cable {arm.cable_hz:.0f} Hz"] if arm.cable_hz else []
     return "; ".join(words)
