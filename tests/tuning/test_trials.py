@@ -353,6 +353,18 @@ def test_what_cannot_be_tried_is_refused() -> None:
         trials.run(job(), 0)
 
 
+def test_a_recording_shorter_than_trials_is_refused_with_what_helps(tmp_path: Path) -> None:
+    """It was refused once trials were drawn, with the advice to shorten an experiment whose duration is the trials'."""
+    (tmp_path / "heart.csv").write_text("t,x,y,z\n" + "".join(f"{0.01 * t},0,0,{1e-5 * t}\n" for t in range(1001)))
+    motion = {"kind": "recording", "file": f"{tmp_path}/heart.csv"}
+    recorded = Experiment.from_dict({"physics": "wam", "duration": 9.0, "motion": motion})
+    with pytest.raises(InputError, match=r"^motion\.file = .*Trials last 30 s: set motion\.repeat = true\.$"):
+        Job((Params(),), recorded)
+    others = NOMINAL._replace(scenarios=msgspec.structs.replace(NOMINAL.scenarios, rhythms=("steady",)))
+    Job((Params(),), recorded, others)
+    Job((Params(),), Experiment.from_dict({**recorded.to_dict(), "motion": {**motion, "repeat": True}}))
+
+
 def test_counts_and_seeds_of_trials_may_be_numpys() -> None:
     base = Experiment.published("table-1-wam")
     assert Job((Params(),), base, HARD, np.int64(3)).digest == Job((Params(),), base, HARD, 3).digest  # type: ignore[arg-type]  # on purpose

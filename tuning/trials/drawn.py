@@ -94,7 +94,8 @@ class Job:
         engine: Which one runs them; None is the fastest here.
 
     Raises:
-        InputError: The experiment is not on the arm ("wam"), or the seed is out of bounds.
+        InputError: The experiment is not on the arm ("wam"), its recording ends before a trial, or the seed is out of
+            bounds.
     """
 
     controllers: tuple[Params, ...]
@@ -116,6 +117,12 @@ class Job:
         damping = min(self.base.arm.cable_damping, max(self.spread.cable_damping or (1.0,)))
         arm = replace(self.base.arm, substeps=max(self.base.arm.substeps, resolving), cable_damping=damping)
         short = replace(self.base, duration=DURATION, settle=SETTLE, arm=arm)
+        if short.motion.kind == "recording" and "own" in self.spread.scenarios.rhythms:
+            try:
+                _ = short.heart
+            except InputError as error:
+                remedy = f"Trials last {DURATION:g} s: set motion.repeat = true."
+                raise InputError(error.key, error.value, error.bound, remedy) from None
         object.__setattr__(self, "base", short)
 
     @property
