@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
+from jaxmpc.quantities import AXES
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.structure import IDLE
 from jaxmpc.world.tissue import LAWS
@@ -26,7 +27,7 @@ class Need(NamedTuple):
     """What must be so somewhere for a key of the experiment to have an effect."""
 
     key: str
-    """That decides; where it is swept too, it may be so."""
+    """That decides, or a table of such; where it or a part of it is swept too, it may be so."""
     holds: Callable[[Experiment], bool]
     where: str
     """In words, after "swept where"."""
@@ -53,6 +54,48 @@ _COMPENSATED = Need(
     "Set arm.compensation.",
 )
 _CABLED = Need("arm.cable_hz", lambda each: each.arm.cable_hz != 0.0, "cables have a mode", "Set arm.cable_hz.")
+_STEPPING = Need(
+    "motion.rhythm",
+    lambda each: each.motion.rhythm == "rate-step",
+    "the heart's rate steps",
+    'Set motion.rhythm = "rate-step".',
+)
+_UNSTEPPING = Need(
+    "motion.rhythm",
+    lambda each: each.motion.rhythm != "rate-step",
+    "the rhythm is no rate step, which has rates of its own",
+    "Sweep motion.rate_step_hz.",
+)
+_VARIABLE = Need(
+    "motion.rhythm",
+    lambda each: each.motion.rhythm == "variability",
+    "the heart's intervals vary by it",
+    'Set motion.rhythm = "variability".',
+)
+_VENTILATED = Need(
+    "motion.ventilation",
+    lambda each: each.motion.ventilation != "steady",
+    "the ventilator holds or the patient coughs",
+    'Set motion.ventilation = "hold" or "cough".',
+)
+_HOLDING = Need(
+    "motion.ventilation",
+    lambda each: each.motion.ventilation == "hold",
+    "the ventilator holds",
+    'Set motion.ventilation = "hold".',
+)
+_CHANGING = Need(
+    "reference",
+    lambda each: any(isinstance(getattr(each.reference, axis), tuple) for axis in AXES),
+    "the wanted force changes",
+    "Give reference.z ramps or sweeps.",
+)
+_RUBBING = Need(
+    "arm.coulomb",
+    lambda each: any((*each.arm.coulomb, *(each.arm.nominal_coulomb or ()))),
+    "a joint has Coulomb friction",
+    "Give arm.coulomb.",
+)
 NEEDS: Mapping[str, Need] = MappingProxyType(
     {
         **dict.fromkeys(("motion.scale", "motion.start", "motion.fade"), _MOVING),
@@ -60,6 +103,13 @@ NEEDS: Mapping[str, Need] = MappingProxyType(
         **dict.fromkeys(("motion.file", "motion.unit", "motion.repeat"), _RECORDED),
         **dict.fromkeys(("arm.nominal_coulomb", "arm.nominal_viscous", "arm.nominal_presliding"), _COMPENSATED),
         "arm.cable_damping": _CABLED,
+        **dict.fromkeys(("motion.rate_step_at", "motion.rate_step_hz"), _STEPPING),
+        "motion.heart_rate_hz": _UNSTEPPING,
+        **dict.fromkeys(("motion.rr_variation", "motion.sinus_arrhythmia", "motion.heart_rate_drift"), _VARIABLE),
+        "motion.ventilation_at": _VENTILATED,
+        "motion.hold_duration": _HOLDING,
+        "reference.preview": _CHANGING,
+        "arm.presliding": _RUBBING,
     }
 )
 """By key; of a vector for each of its entries."""
@@ -116,8 +166,9 @@ def check_effect(spec: Any) -> None:
                 name, "where runs are on the arm: the linear loop has no guard", 'Set experiment.physics = "wam".'
             )
         need = NEEDS.get(".".join(name.split(".")[:2]))
-        if need is not None and need.key not in swept and not any(map(need.holds, met)):
-            raise _idle(name, f"where {need.where}", need.remedy)
+        if need is not None and not any(map(need.holds, met)):
+            if not any(f"{other}.".startswith(f"{need.key}.") for other in swept - {name}):
+                raise _idle(name, f"where {need.where}", need.remedy)
         laws = [law.name for law in LAWS.values() if constant in [each.name for each in law.parameters]]
         if laws and "tissue.kind" not in swept and not any(each.tissue.kind in laws for each in met):
             remedy = f'Set experiment.tissue.kind = "{laws[0]}".'

@@ -8,6 +8,7 @@ from jaxmpc.files.errors import InputError
 from sweeps.spec import SweepSpec
 
 ARM = {"published": "table-1-wam"}
+RHYTHM = {"motion": {"kind": "rhythm", "rhythm": "steady"}}
 IDLE: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = {
     "a guard on the linear loop": ({}, {}, {"guarded": [True, False]}, "the linear loop has no guard"),
     "the scale of no motion": ({"motion": {"kind": "none"}}, {}, {"motion.scale": [0.5, 1.0]}, "the heart moves"),
@@ -26,6 +27,24 @@ IDLE: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = {
     "weights of no MPC": ({}, {"architecture": "aob"}, {"lam": [0.1, 0.2]}, "the part that it is of"),
     "horizons of no MPC": ({}, {"architecture": "aob"}, {"Hp": [10, 20]}, "the part that it is of"),
     "the wanted loop of no observer": ({}, {"published": "mpc-alone"}, {"T_cl": [0.002, 0.003]}, "the part that"),
+    "a rate that does not step": (RHYTHM, {}, {"motion.rate_step_at": [5.0, 8.0]}, "the heart's rate steps"),
+    "an entry of one": (RHYTHM, {}, {"motion.rate_step_hz.1": [1.5, 2.0]}, "the heart's rate steps"),
+    "the mean of a rate that steps": (
+        {"motion": {"kind": "rhythm", "rhythm": "rate-step"}}, {}, {"motion.heart_rate_hz": [1.0, 1.5]}, "no rate step"
+    ),
+    "what steady intervals do not vary by": (RHYTHM, {}, {"motion.rr_variation": [0.0, 0.02]}, "intervals vary"),
+    "breath in steady intervals": (RHYTHM, {}, {"motion.sinus_arrhythmia": [0.0, 0.02]}, "intervals vary"),
+    "a drift of a steady rate": (RHYTHM, {}, {"motion.heart_rate_drift": [0.0, 10.0]}, "intervals vary"),
+    "when a steady ventilator holds": (RHYTHM, {}, {"motion.ventilation_at": [5.0, 8.0]}, "holds or the patient"),
+    "how long a cough is held": (
+        {"motion": {"kind": "rhythm", "ventilation": "cough"}}, {}, {"motion.hold_duration": [5.0, 8.0]}, "ventilator h"
+    ),
+    "a constant force that is known ahead": (
+        {"reference": {"z": -5.0}}, {}, {"reference.preview": [True, False]}, "the wanted force changes"
+    ),
+    "presliding of no friction": (
+        ARM | {"arm": {"coulomb": [0.0] * 4}}, {}, {"arm.presliding": [1e-3, 2e-3]}, "a joint has Coulomb friction"
+    ),
     "times nothing": (
         {}, {}, {"sensor.kalman": {"linear": [0.5, 2.0], "points": 2, "relative": True}}, "a number other than 0"
     ),
@@ -40,6 +59,22 @@ ACTING: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
     "the damping of cables": (ARM, {}, {"arm.cable_damping": [0.03, 0.1], "arm.cable_hz": [0.0, 60.0]}),
     "weights of some": ({}, {"architecture": "aob"}, {"lam": [0.1, 0.2], "architecture": ["aob", "mpc-aob"]}),
     "the wanted loop of an observer": ({}, {"architecture": "aob"}, {"T_cl": [0.002, 0.003]}),
+    "a rate beside rhythms": (
+        RHYTHM, {}, {"motion.rate_step_at": [5.0, 8.0], "motion.rhythm": ["steady", "rate-step"]}
+    ),
+    "a rate of all rhythms": (RHYTHM, {}, {"motion.heart_rate_hz": [1.0, 1.5]}),
+    "when a cough comes": (
+        {"motion": {"kind": "rhythm", "ventilation": "cough"}}, {}, {"motion.ventilation_at": [5.0]}
+    ),
+    "a ramp that is known ahead": ({}, {}, {"reference.preview": [True, False]}),
+    "ramps that are known ahead": (
+        {"reference": {"z": -5.0}, "settle": 9.0},
+        {},
+        {"reference.preview": [True], "reference.z": [[{"kind": "ramp", "to": -5.0, "rate": rate}] for rate in (2, 3)]},
+    ),
+    "presliding beside a joint's friction": (
+        ARM | {"arm": {"coulomb": [0.0] * 4}}, {}, {"arm.presliding": [1e-3, 2e-3], "arm.coulomb.1": [0.0, 1.0]}
+    ),
     "times nothing on one joint": (
         ARM | {"arm": {"coulomb": [0.0, 2.0, 1.0, 0.5]}}, {}, {"arm.coulomb": {"values": [0.5], "relative": True}}
     ),

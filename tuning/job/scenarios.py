@@ -181,7 +181,10 @@ def describe(experiment: Experiment) -> str:
     if experiment.physics != "linear":
         nominal = np.array(arm.nominal_coulomb or arm.coulomb)
         factors = np.divide(arm.coulomb, nominal, out=np.ones(len(nominal)), where=nominal != 0.0)
-        words += [f"friction × {', '.join(f'{factor:.2f}' for factor in factors)}", f"masses believed {100 * arm.mass_error:+.0f} %"]
+        words += [
+            f"friction × {', '.join(f'{factor:.2f}' for factor in factors)}",
+            f"masses believed {100 * arm.mass_error:+.0f} %",
+        ]
         words += [f"delay {experiment.delay}"] if experiment.delay > 1 else []
         words += [f"cable {arm.cable_hz:.0f} Hz"] if arm.cable_hz else []
     return "; ".join(words)
