@@ -34,15 +34,18 @@ def sweep_report(result: Result, path: Path, max_M_s: float | None = None, curve
         OSError: The file cannot be written.
     """
     wide = result.explored
-    shown = _sample(wide, max_M_s)
+    again = [] if wide is result else that_matter(result, max_M_s)
+    shown = _sample(wide, max_M_s, result["row"][again])
     rows = candidates(shown, max_M_s)
     chosen = that_matter(shown, max_M_s)
     if curves and chosen:
         told, found = note(shown, len(chosen)), details(shown, chosen)
         if wide is not result:
-            again = that_matter(result, max_M_s)
+            places = {row: place for place, row in enumerate(shown["row"].tolist())}
             for place, detail in details(result, again).items():
-                found[shown.place(int(result["row"][place]))] = detail
+                # Of a stage before, a chunk may be lost since.
+                if (row := int(result["row"][place])) in places:
+                    found[places[row]] = detail
             told += f" Of the best {len(again)} of those that ran once more, as they ran on the {world_words(result)}."
         rows = replace(rows, details=found, note=told)
     counts = ", ".join(f"{count} {name}" for name, count in wide.status_counts().items() if count)
@@ -77,9 +80,10 @@ def _again(result: Result, wide: Result, max_M_s: float | None) -> Section:
     head, lines = rendered(result, len(result), max_M_s)
     order = wide["row"][wide.ranked(goal_of(wide, max_M_s))].tolist()
     rank = {row: k + 1 for k, row in enumerate(order)}
+    there = dict(zip(wide["row"].tolist(), before.tolist(), strict=True))
     for line in lines:
         row = int(line[0])
-        line += [quantity.entry(before[wide.place(row)]), str(rank.get(row, "–"))]
+        line += [quantity.entry(there.get(row, np.nan)), str(rank.get(row, "–"))]
     words = (
         f"The best {len(result)} of {len(wide)} rows once more, on the {world_words(result)}; {len(lines)} of them "
         f"keep the limits there too. The last columns are what they were on the {world_words(wide)}."
@@ -93,18 +97,24 @@ def _told(result: Result, max_M_s: float | None) -> list[str]:
     return [f"{line[0].upper()}{line[1:]}." for line in lines]
 
 
-def _sample(result: Result, max_M_s: float | None) -> Result:
-    """Not more rows than a page can hold: those that matter, and evenly of the others."""
+def _sample(result: Result, max_M_s: float | None, more: np.ndarray) -> Result:
+    """Not more rows than a page can hold: those that matter, and evenly of the others.
+
+    Args:
+        result: All rows.
+        max_M_s: Largest accepted peak sensitivity [-]; None is the spec's.
+        more: Numbers of rows that matter for another reason.
+    """
     most = MOST_ROWS
     if result.plan.space.kind != "grid":
         most = min(most, MOST_DRAWN // len(result.plan.space.axes))
     if len(result) <= most:
         return result
     keep = np.zeros(len(result), bool)
-    matter = np.concatenate([result.pareto()["row"], result.best(1000, max_M_s)["row"]])
+    matter = np.concatenate([result.pareto()["row"], result.best(1000, max_M_s)["row"], more])
     keep[np.isin(result["row"], matter)] = True
     others = np.flatnonzero(~keep)
-    keep[others[np.linspace(0, len(others) - 1, most - int(keep.sum())).round().astype(int)]] = True
+    keep[others[np.linspace(0, len(others) - 1, max(0, most - int(keep.sum()))).round().astype(int)]] = True
     return result.take(np.flatnonzero(keep))
 
 

@@ -9,12 +9,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from jaxmpc.report.content import Detail, Report
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from sweeps.axis import SweepAxis
 from sweeps.judged import Point
 from sweeps.plan import Plan, describe, make_plan
-from sweeps.result import Result
+from sweeps.result import Result, of_stages
+from sweeps.show import report
 from sweeps.show.best_rows import table
 from sweeps.show.candidates import candidates, template
 from sweeps.show.curves import length_words, world_words
@@ -24,6 +26,8 @@ from sweeps.spec import SweepSpec
 
 Finished = tuple[Path, Result]
 ROWS = 120
+LIMIT = 50.0
+"""Of M_s, which some rows keep [-]."""
 
 
 @pytest.mark.slow
@@ -135,6 +139,30 @@ def test_a_report_stands_a_sweep_in_which_everything_failed(finished: Finished, 
     sweep_report(failed, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size > 500_000
     assert "0 of 120 rows are OK" in table(failed)
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_what_ran_once_more_is_reported_whatever_it_was_before(
+    lost: bool, finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of more rows than a page shows, the best once more may be none of those that are shown; or a chunk is gone."""
+    whole = finished[1]
+    matter = np.isin(whole["row"], [*whole.best(1000, LIMIT)["row"], *whole.pareto()["row"]])
+    (poor,) = np.flatnonzero(~matter)[:1]
+    once_more = whole.best(1, LIMIT)
+    once_more = replace(once_more, columns={**once_more.columns, "row": whole["row"][[poor]]})
+    before = whole.take(np.arange(len(whole)) != poor) if lost else whole
+    found = of_stages([("0-full", before), ("1-rerun", once_more)], ended=True)
+    told: list[Report] = []
+    monkeypatch.setattr(report, "write_report", lambda content, path: told.append(content))
+    monkeypatch.setattr(report, "details", lambda result, places: {place: Detail() for place in places})
+    monkeypatch.setattr(report, "MOST_ROWS", int(matter.sum()))
+    sweep_report(found, tmp_path / "report.html", LIMIT)
+    rows, again = told[0].rows, told[0].sections[0].tables[0].rows
+    assert rows is not None
+    row = f"row {whole['row'][poor]}"
+    assert (row in {rows.names[place] for place in rows.details}) is not lost
+    assert [line[-1] for line in again] == ["–"]  # it had no rank
 
 
 @pytest.mark.parametrize(
