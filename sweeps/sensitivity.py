@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import spearmanr
 
-from jaxmpc.report.influence import crossed, first_order, stretches
+from jaxmpc.report.influence import crossed, first_order, stretches, varies
 from sweeps.axis import SweepAxis
 from sweeps.goal import MEASURED
 from sweeps.result import Result
@@ -51,10 +51,10 @@ def sensitivity(result: Result, name: str) -> dict[str, Influence]:
 
 
 def _influence(axis: SweepAxis, result: Result, score: np.ndarray, finite: np.ndarray, exact: bool) -> Influence:
-    alone = len(result.axes) == 1 and float(score.std()) > 0.0
+    alone = len(result.axes) == 1 and varies(score)
     share = 1.0 if alone else first_order(_cells(axis, result, exact), score, exact)
     entries = result[axis.name][finite]
-    varied = axis.numeric and len(np.unique(entries)) > 1 and float(score[finite].std()) > 0.0
+    varied = axis.numeric and len(np.unique(entries)) > 1 and varies(score[finite])
     return Influence(share, float(spearmanr(entries, score[finite]).statistic) if varied else float("nan"))
 
 

@@ -69,7 +69,7 @@ def first_order(cell: np.ndarray, score: np.ndarray, exact: bool = False) -> flo
     rows, size = len(score), np.bincount(cell)
     spread = float(np.var(score))
     groups = int((size > 0).sum())
-    if (rows <= groups and not exact) or groups < 2 or spread <= 1e-12 * float(np.mean(score)) ** 2:
+    if (rows <= groups and not exact) or groups < 2 or not varies(score):
         return 0.0
     means = np.bincount(cell, score) / np.maximum(size, 1)
     between = float((size * (means - score.mean()) ** 2).sum()) / rows
@@ -79,6 +79,11 @@ def first_order(cell: np.ndarray, score: np.ndarray, exact: bool = False) -> flo
     # Means of few rows scatter by chance: each group's by its variance over its size.
     unbiased = between - within * (groups - 1) / (rows - groups)
     return float(np.clip(unbiased / spread, 0.0, 1.0))
+
+
+def varies(score: np.ndarray) -> bool:
+    """Whether finite numbers differ by more than rounding, by which the deviation of equal ones need not be 0."""
+    return bool(np.ptp(score) > 0.0 and np.var(score) > 1e-12 * float(np.mean(score)) ** 2)
 
 
 def _score(values: np.ndarray, floor: bool) -> np.ndarray:

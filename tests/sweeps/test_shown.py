@@ -15,6 +15,7 @@ import pytest
 from sweeps.axis import SweepAxis
 from sweeps.plan import Plan
 from sweeps.result import Result
+from sweeps.sensitivity import sensitivity
 from sweeps.show.best_rows import table
 from sweeps.show.cli import TAKES
 from sweeps.show.tables import row_sheet, rows_table, sensitivity_table
@@ -120,6 +121,24 @@ def test_what_does_not_vary_has_no_correlation(finished: Finished) -> None:
     told = sensitivity_table(finished[1].take(slice(1)))
     assert "nan" not in told
     assert told.splitlines()[2].split()[3] == "–"
+
+
+@pytest.mark.filterwarnings("error")
+def test_one_axis_explains_nothing_of_what_does_not_vary(finished: Finished) -> None:
+    """Its share was 100 %, beside a warning of scipy's: of equal numbers numpy's deviation need not be 0."""
+    plan, rows = finished[1].plan, np.arange(5)
+    space = SweepSpace("grid", ((SweepAxis("K2", "list", (5.0, 6.0, 7.0, 8.0, 9.0)),),), 5, 0, plan.space.horizons)
+    M_s = np.full((5, 2), 1.2345)
+    assert np.log(M_s[:, 0]).std() > 0.0
+    columns = {"row": rows, **space.columns(rows), "status": np.zeros((5, 2), np.int8), "M_s": M_s}
+    result = Result(Plan({**plan.canonical, "space": msgspec.to_builtins(space)}), columns)
+    rounded = replace(result, columns={**columns, "M_s": M_s * (1.0 + 2e-16 * rows[:, None])})
+    for each in (result, rounded):
+        found = sensitivity(each, "M_s")["K2"]
+        assert found.share == 0.0
+        assert np.isnan(found.correlation)
+    varied = replace(result, columns={**columns, "M_s": M_s + rows[:, None]})
+    assert sensitivity(varied, "M_s")["K2"] == (1.0, pytest.approx(1.0))
 
 
 def test_what_is_infinitely_good_is_shown_alike_by_every_table(finished: Finished) -> None:
