@@ -3,11 +3,12 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from jaxmpc import Params
+from jaxmpc import Experiment, Params
 from jaxmpc.files.errors import InputError
-from tuning import TuneSpec
+from tuning import Scenarios, TuneSettings, TuneSpec
 from tuning.job.space import FREE
 
 
@@ -201,3 +202,56 @@ def test_python_meets_the_same_checks() -> None:
     spec = TuneSpec.from_dict({})
     with pytest.raises(InputError, match="one controller"):
         TuneSpec(spec.experiment, Params.stack([spec.params, spec.params]))
+
+
+def test_numbers_of_numpy_make_the_same_job() -> None:
+    """Limits of a front were "no list", float32's no number, and seeds an error of numpy's."""
+    tables: dict[str, Any] = {
+        "tune": {"starts": 2, "train_seeds": [0, 1], "heldout_seeds": [5], "free": {"lam": [0.01, 1.0], "Q_p": True}},
+        "goals": {"M_s": 2, "effort": 3.0, "soft": {"rms": 0.25}},
+        "risk": {"kind": "cvar", "share": 0.5},
+        "pareto": {"M_s": [1.75, 2.0]},
+    }
+    given: dict[str, Any] = {
+        "tune": {
+            "starts": np.int64(2),
+            "train_seeds": np.arange(2),
+            "heldout_seeds": np.array([5]),
+            "free": {"lam": np.array([0.01, 1.0]), "Q_p": np.True_},
+        },
+        "goals": {"M_s": np.float32(2.0), "effort": np.int64(3), "soft": {"rms": np.float32(0.25)}},
+        "risk": {"kind": "cvar", "share": np.float32(0.5)},
+        "pareto": {"M_s": np.array([1.75, 2.0])},
+    }
+    spec = TuneSpec.from_dict(tables)
+    assert TuneSpec.from_dict(given).digest == spec.digest
+    built = TuneSpec(
+        spec.experiment,
+        spec.params,
+        tune=TuneSettings(np.int64(150), starts=np.int8(2), train_seeds=np.arange(2), heldout_seeds=np.array([5])),  # type: ignore[arg-type]  # on purpose
+        free={"lam": np.array([0.01, 1.0]), "Q_p": None},  # type: ignore[dict-item]  # on purpose
+        goals={"M_s": np.float32(2.0), "effort": np.int64(3)},  # type: ignore[dict-item]  # on purpose
+        soft={"rms": np.float32(0.25)},  # type: ignore[dict-item]  # on purpose
+        risk=spec.risk,
+        pareto=given["pareto"],
+    )
+    assert built.digest == spec.digest
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"tune": TuneSettings(starts=-1)}, r"tune\.starts = -1: must be "),
+        ({"tune": TuneSettings(steps="many")}, r"tune\.steps = many: must be a whole number"),  # type: ignore[arg-type]  # on purpose
+        ({"scenarios": Scenarios(friction=2.0)}, r"scenarios\.friction = 2\.0: must be "),
+        ({"tune": {"starts": 2}}, r"tune = .*: must be of the type TuneSettings"),
+        ({"experiment": "table-1"}, r"experiment = table-1: must be of the type Experiment"),
+        ({"params": "text"}, r"params = text: must be of the type Params"),
+        ({"baseline": "text"}, r"baseline = text: must be of the type Params"),
+    ],
+)
+def test_a_job_that_is_built_in_python_is_checked_as_a_file_is(changes: dict[str, Any], says: str) -> None:
+    """Starts of −1 were taken, a name in the place of what has it was an AttributeError."""
+    given = {"experiment": Experiment.published("table-1"), "params": Params.published("text")}
+    with pytest.raises(InputError, match=f"^{says}"):
+        TuneSpec(**(given | changes))

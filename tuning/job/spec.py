@@ -19,6 +19,7 @@ from jaxmpc.stability.family import judged_where
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.sampling import check_sampling
 from tuning.job.axes import axes_of, begun, check_axis, check_horizons
+from tuning.job.built import made_plain
 from tuning.job.goals import GOALS, MEASURED, OVERSHOOT, check_goals, refuse_goals_of_joints
 from tuning.job.implied import implied_goals
 from tuning.job.risk import Risk
@@ -59,6 +60,7 @@ class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     """What evaluates the loops; None is the fastest here. No part of what the job is: engines differ in rounding."""
 
     def __post_init__(self) -> None:
+        made_plain(self)
         self.tune.check()
         self.scenarios.check(self.experiment)
         check_goals(self.goals, "goals", GOALS)
