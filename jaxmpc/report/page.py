@@ -16,13 +16,13 @@ SCRIPTS = ("data", "state", "plot", "parallel", "table", "scatter", "maps", "det
 """Files of the script, in the order in which they need each other."""
 
 
-def write_report(report: Report, path: Path) -> None:
+def write_report(report: Report, path: str | Path) -> None:
     """Write a report.
 
     Raises:
         OSError: The file cannot be written.
     """
-    write_atomic(path, page(report).encode())
+    write_atomic(Path(path), page(report).encode())
 
 
 def page(report: Report) -> str:

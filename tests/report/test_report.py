@@ -15,7 +15,7 @@ import pytest
 from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
 from jaxmpc.report.content import Measure, Report, measure
 from jaxmpc.report.influence import crossed, first_order, influence, stretches
-from jaxmpc.report.page import page
+from jaxmpc.report.page import page, write_report
 from jaxmpc.report.payload import payload, quantised
 from tests.report.made_up import FOREIGN, candidates, report
 
@@ -76,6 +76,11 @@ def decoded(said: dict[str, Any], blob: bytes) -> np.ndarray:
     planes = np.frombuffer(zlib.decompress(blob[said["at"] : said["at"] + said["bytes"]]), np.uint8)
     kind = np.dtype({"u8": "u1", "u16": "<u2", "u32": "<u4", "f64": "<f8"}[said["type"]])
     return np.ascontiguousarray(planes.reshape(kind.itemsize, -1).T).view(kind).ravel()
+
+
+def test_a_page_is_written_wherever_its_path_says(tmp_path: Path) -> None:
+    write_report(report(5), f"{tmp_path}/mine.html")
+    assert (tmp_path / "mine.html").read_text() == page(report(5))
 
 
 def test_few_rows_keep_every_bit() -> None:

@@ -119,9 +119,9 @@ def test_a_search_whose_runs_are_all_lost_finds_nothing(small: Job) -> None:
 def test_a_front_from_elsewhere_does_not_go_on_from_these_states(small: Job, tmp_path: Path) -> None:
     spec = TuneSpec.from_dict(small(tune={"steps": 1}, pareto={"M_s": [6.0, 5.0]}))
     z = spec.space.encode(spec.params)
-    pareto(spec, tmp_path, z=z)
+    pareto(spec, f"{tmp_path}/front", z=z)  # makes it, as `tune` does
     with pytest.raises(InputError, match="-o"):
-        pareto(spec, tmp_path, z=z + 0.01)
+        pareto(spec, tmp_path / "front", z=z + 0.01)
 
 
 @pytest.mark.slow

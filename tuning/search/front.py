@@ -56,7 +56,9 @@ class Front(NamedTuple):
 
 
 @in_float64
-def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z: np.ndarray | None = None) -> Front:
+def pareto(
+    spec: TuneSpec, folder: str | Path | None = None, progress: bool = False, z: np.ndarray | None = None
+) -> Front:
     """The front of a job, for the limits in its table [pareto].
 
     Args:
@@ -68,8 +70,11 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
     Raises:
         InputError: The folder holds the state of another job.
     """
+    place = None if folder is None else Path(folder)
+    if place is not None:
+        place.mkdir(parents=True, exist_ok=True)
     if z is None:
-        way = run_search(spec, folder, progress)
+        way = run_search(spec, place, progress)
         spec, z = msgspec.structs.replace(way.spec, pareto=spec.pareto), way.steps[-1].state.leader_z
     # Of a floor the smaller is the looser.
     combined = list(product(*(sorted(values, reverse=GOALS[name].ceiling) for name, values in spec.pareto.items())))
@@ -83,7 +88,7 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
     for leg in range(LEGS):
         plan = schedule(max(1, round(SHARE * spec.tune.steps)), False, spec.tune.learning_rate * 0.5**leg)
         plan = plan._replace(patience=len(plan.widths))
-        state = descend(job, problem, starts, plan, folder, f"state-pareto-{leg + 1}.npz", progress, key)
+        state = descend(job, problem, starts, plan, place, f"state-pareto-{leg + 1}.npz", progress, key)
         starts = handed_on(state, asked, floors)
     values = problem.differentiate(starts, 1.0)
     held = values.hard.max(axis=1) <= FEASIBLE
@@ -96,9 +101,9 @@ def pareto(spec: TuneSpec, folder: Path | None = None, progress: bool = False, z
         np.where(held[:, None], reached[:, columns], np.nan),
         jax.tree.map(lambda field: np.where(held[:, None, None, None], field, np.nan), values.cells),
     )
-    if folder is not None:
-        write_atomic(folder / "pareto.csv", table(front).encode())
-        front_figure(front, folder / "pareto.png")
+    if place is not None:
+        write_atomic(place / "pareto.csv", table(front).encode())
+        front_figure(front, place / "pareto.png")
     return front
 
 

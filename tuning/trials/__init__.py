@@ -50,7 +50,9 @@ Told = Callable[[int, Outcomes], None]
 """Called with the first trial of a block and its outcomes, as soon as they are there."""
 
 
-def run(job: Job, count: int, folder: Path | None = None, show: bool = False, told: Told | None = None) -> Outcomes:
+def run(
+    job: Job, count: int, folder: str | Path | None = None, show: bool = False, told: Told | None = None
+) -> Outcomes:
     """Run trials 0 … count − 1; no bit of one depends on how many there are or where a run was interrupted.
 
     Args:
@@ -64,10 +66,11 @@ def run(job: Job, count: int, folder: Path | None = None, show: bool = False, to
         InputError: The count is out of bounds, or the folder holds blocks of another job or program.
     """
     count = counted("trials", count, "10000 is usual.", 1, MOST)
+    place = None if folder is None else Path(folder)
     blocks: list[Outcomes] = []
     lost, swinging = np.zeros((2, len(job.controllers)), int)
     with progress("trials", count, "trials", show) as tick:
-        for first, found in _all_blocks(job, count, folder):
+        for first, found in _all_blocks(job, count, place):
             blocks.append(Outcomes(*(field[: count - first] for field in found)))
             lost += blocks[-1].lost.sum(axis=0)
             swinging += blocks[-1].swinging.sum(axis=0)
