@@ -162,6 +162,7 @@ def respond(
         known, K2 = schedule.now(gains, controller.K2, axis, ops)
         if guard is not None:
             known = backed_off(known, guard.memory.gain, ops)
+            K2 = K2 * gain_backoff.damping(guard.memory, ops)
         following, command = cascade.respond(known, axis, y, tuple(plus(each, besides) for each in ahead))
         damping.append(times(K2, xdot))
         axes.append(following)

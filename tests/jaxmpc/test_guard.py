@@ -13,7 +13,7 @@ import pytest
 import scipy.signal
 from msgspec.structs import replace
 
-from jaxmpc import Experiment, InputError, Params, design
+from jaxmpc import Experiment, InputError, Params, design, evaluate
 from jaxmpc.law import cascade, gain_backoff, schedule
 from jaxmpc.law.gains import Gains, backed_off, constant_reference, with_gain
 from jaxmpc.law.ops import FLOATS
@@ -251,7 +251,7 @@ class Held(NamedTuple):
             axis, v = cascade.respond(backed_off(self.gains, guard.memory.gain, FLOATS), axis, force, (0.0,))
             # Two cut-offs as of the published arm's velocities, at 300 rad/s.
             believed, before = believed + (1.0 - math.exp(-0.3)) * ((x - before) / T_S - believed), x
-            asked = v - self.K2 * believed
+            asked = v - gain_backoff.damping(guard.memory, FLOATS) * self.K2 * believed
             sent = FLOATS.clip(FLOATS.clip(asked, -self.most, self.most), sent - self.step, sent + self.step)
             axis = axis._replace(v=v + sent - asked)
             if told:
@@ -291,6 +291,27 @@ def test_torques_that_the_limits_hold_come_to_rest(family: Gains, stiffness: flo
     assert np.abs(force[-1000:]).max() < 0.05
     _, held = loop.beat(stiffness, rise=0.05, size=0.015, told=False)
     assert held[-1000:].mean() > 0.5 or (stiffness == 375.0 and not known), "it is the guard that ends it"
+
+
+def test_the_least_gain_is_without_damping() -> None:
+    """From a quarter of the gain on all of it is left."""
+    gains = {0.05: 0.0, 0.15: 0.5, 0.25: 1.0, 0.6: 1.0, 1.0: 1.0}
+    assert [gain_backoff.damping(gain_backoff.BackoffMemory(g, 1.0, g), FLOATS) for g in gains] == pytest.approx(
+        list(gains.values())
+    )
+
+
+@pytest.mark.oracle
+@in_float64
+def test_damping_that_swings_on_soft_cables_comes_to_rest() -> None:
+    """The simulated arm's torques change by 10 N m a sample: with damping at every gain ±50 N m stayed to the end."""
+    job = Job((Params.published("family"),), Experiment.published("table-1-wam"), HARD)
+    trace = evaluate(job.controllers[0], replace(job.trial(75577), duration=12.0), trace=True).trace
+    assert trace is not None
+    gain, force = np.asarray(trace.gain)[0, 0], np.asarray(trace.true_force)[0]
+    assert gain.min() < 0.1, "the guard had to act"
+    assert gain[-1] > 0.3
+    assert np.std(force[:, -1000:] - np.mean(force[:, -1000:], 1)[:, None], axis=1).max() < 0.5
 
 
 @pytest.mark.parametrize(
