@@ -176,7 +176,7 @@ def _figures(
 
     row = row_to_draw(outcome, still)
     if row is None:
-        print("figures: none, because no run stayed finite at any stiffness")
+        print("figures: none, because no run held to its end at any stiffness")
         return None
     path = folder / f"{experiment.name}.png"
     experiment_figure(path, experiment, controller, outcome, still, row)
