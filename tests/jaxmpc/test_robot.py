@@ -206,7 +206,10 @@ def test_a_stiffer_cable_comes_closer_to_the_rigid_arm():
     """Twice the frequency, a quarter of the stretch; in steps of 0.25 ms, fine enough for 80 Hz."""
 
     def tips(hertz):
-        kind, of = RobotStructure(cable=hertz > 0.0, substeps=4), robot(810.0, cable_hz=hertz, cable_damping=0.5)
+        kind, of = (
+            RobotStructure(cable=hertz > 0.0, substeps=4),
+            robot(810.0, cable_hz=hertz, cable_damping=0.5, substeps=4),
+        )
         state = world.init(CHAIN, kind, of, 0.0, FLOATS)
         # Half a sine of torque, so that the cables hardly ring.
         states, hold = [], state.pending[0]
