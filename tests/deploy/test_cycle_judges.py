@@ -8,8 +8,9 @@ from deploy.bus.bus import Bus
 from deploy.controller.runtimes import arm_runtime
 from deploy.force.can_sensor import CanSensor
 from deploy.force.sensor import Mounted
+from deploy.loop import cycle
 from deploy.loop.control import Contacting, TaskController
-from deploy.loop.cycle import ASTRAY, SETTLED, Cycle, OperatorCommand
+from deploy.loop.cycle import ASTRAY, SETTLED, ZERO, Cycle, OperatorCommand
 from deploy.loop.hazards import CycleTiming
 from deploy.reference.sources import ConstantForce
 from deploy.safety.checker import Strictness
@@ -219,6 +220,54 @@ def test_the_law_is_told_what_the_clamp_left_of_its_torque(standing, runtime, mo
     assert result.clamp.rate
     assert told == [result.applied]
     assert result.applied != result.wanted
+
+
+def test_who_lets_go_does_so_at_once_and_not_as_fast_as_torques_may_change(standing):
+    made = standing(OperatingState.ARMED)
+    made.cycle.controller.torque = lambda task, *rest: ZERO if task is Task.OFF else (30.0, 0.0, 0.0, 0.0)
+    for _ in range(5):
+        driven = made(command=GO._replace(start=False))
+    assert driven.applied[0] > 15.0
+    let_go = made(command=GO._replace(abort=True))
+    assert (let_go.task, let_go.applied) == (Task.OFF, ZERO)
+    assert let_go.frame == made.cycle.arm.torque_frame(ZERO)
+
+
+def test_of_old_positions_no_velocity_is_made(standing):
+    made = standing(OperatingState.ARMED)
+    made(command=GO._replace(start=False))
+    assert made(counts=made.moved(0, 20), command=GO._replace(start=False)).qd[0] != 0.0
+    assert made(counts=made.moved(0, 40), age=(BRIDGED + 1, 0, 0, 0), command=GO._replace(start=False)).qd == ZERO
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_the_observers_judge_the_sensor_in_contact_that_has_settled(standing, runtime, monkeypatch, turns):
+    """By the force of this sample, in the world's axes, less what they expected of it at the last."""
+    told, judge = [], cycle.force_step
+    monkeypatch.setattr(cycle, "force_step", lambda *asked: (told.append(asked[2]), judge(*asked))[1])
+    made = standing(OperatingState.CONTACT, turns=turns)
+    made((0.0, 0.0, -1.0))
+    for since, state in (
+        (SETTLED, OperatingState.CONTACT),
+        (SETTLED + T_S, OperatingState.CONTACT),
+        (SETTLED + T_S, OperatingState.RETRACT),
+    ):
+        made.cycle.controller._samples = round(since / T_S)
+        made.cycle.safety_state = SafetyState(state)
+        expected, found = runtime.prediction, made((0.1, 0.2, -1.1)).force
+        if since > SETTLED and state is OperatingState.CONTACT:
+            innovation = [one - other for one, other in zip(found, expected, strict=True)]
+    assert told == [None, None, pytest.approx(innovation, abs=1e-12), None]
+    assert min(map(abs, innovation)) > 1e-3
+    assert min(map(abs, expected)) > 1e-3
+
+
+def test_the_sine_is_asked_of_the_tip_too(standing, runtime, monkeypatch):
+    monkeypatch.setattr(type(runtime), "dither", (0.0, 0.0, -0.3))
+    made = standing(OperatingState.CONTACT)
+    for _ in range(2):
+        made((0.0, 0.0, -1.5))
+    assert made.cycle.pushes.wanted == pytest.approx(1.8, abs=0.02)
 
 
 @pytest.mark.parametrize("state", [OperatingState.CONTACT, OperatingState.RETRACT])

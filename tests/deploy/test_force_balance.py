@@ -96,11 +96,12 @@ def test_a_single_outlier_is_none_and_a_lost_reading_changes_nothing():
     assert state.reading == before
 
 
-def test_the_reading_is_made_as_slow_as_the_estimate():
+def test_the_reading_and_the_way_of_the_tip_are_made_as_slow_as_the_estimate():
     state = BalanceState()
     for _ in range(round(1.0 / (BANDWIDTH * T_S))):
-        state, _ = balance_step(state, NONE, (0.0, 0.0, -1.0), NONE, UP, False, T_S)
+        state, _ = balance_step(state, NONE, (0.0, 0.0, -1.0), (0.0, 0.0, -1.0), UP, False, T_S)
     assert state.reading[2] == pytest.approx(-(1.0 - np.exp(-1.0)), abs=0.02)
+    assert state.slip == pytest.approx(state.reading[2])
 
 
 @pytest.mark.parametrize("moving", [False, True])

@@ -95,6 +95,19 @@ def test_a_push_much_beyond_the_wanted_one_on_the_way_out_is_told(reason):
         assert step(SafetyState(OperatingState.RETRACT, other), more).reason is other
 
 
+@pytest.mark.parametrize("seen", [{"doubt": Reason.FORCE}, {"finish": Reason.OVERSHOOT}])
+def test_whoever_touches_an_arm_that_has_withdrawn_makes_no_good_end_a_bad_one(seen):
+    now = step(SafetyState(OperatingState.STOPPED, Reason.FINISHED), READY._replace(**seen))
+    assert (now.state, now.reason) == (OperatingState.STOPPED, Reason.FINISHED)
+
+
+def test_an_arm_that_was_let_go_where_it_stopped_may_idle():
+    """The pucks of the robot go idle then, and their counts may stay out: that was ordered."""
+    now = step(SafetyState(OperatingState.STOPPED, Reason.FINISHED), READY._replace(abort=True))
+    now = walk(READY._replace(hazard=Reason.E_STOP), READY._replace(position_age=HELD + 1), start=now)
+    assert (now.state, now.reason, task_of(now, 0)) == (OperatingState.STOPPED, Reason.FINISHED, Task.OFF)
+
+
 def test_a_touch_must_last():
     touching = READY._replace(touching=True)
     now = walk(
@@ -191,6 +204,7 @@ def test_who_was_silent_besides_is_told_while_the_arm_is_let_go():
     lost = step(SafetyState(OperatingState.CONTACT), READY._replace(hazard=Reason.POSITION_LOST, detail="no puck"))
     now = step(lost, READY._replace(hazard=Reason.POSITION_LOST, detail="nobody"))
     assert (now.reason, now.detail) == (Reason.POSITION_LOST, "nobody")
+    assert step(now, READY._replace(hazard=Reason.POSITION_LOST)).detail == "nobody"
     assert step(now, READY._replace(hazard=Reason.E_STOP)).reason is Reason.E_STOP
 
 

@@ -142,6 +142,7 @@ def test_authority_is_no_more_than_trust_and_comes_back_by_pardon(decided) -> No
         # The sine ends where the stiffness is known, and where it has hardly begun.
         ({"listening": 0.9}, -1.0),
         ({"listening": 0.9, "miss": 0.075}, -0.5),
+        ({"listening": 0.9, "width": 0.75 * BAND}, -0.5),
         ({"listening": 0.9, "miss": 1.0}, 0.0),
         ({"listening": 0.55, "miss": 1.0}, -0.5),
         ({"listening": 0.3, "miss": 1.0}, -1.0),
@@ -152,6 +153,7 @@ def test_authority_is_no_more_than_trust_and_comes_back_by_pardon(decided) -> No
         # A tenth of doubt brings it.
         ({"listening": 0.9, "taken": 0.11, "miss": 1.0}, 0.5),
         ({"listening": 0.9, "taken": 0.12}, 1.0),
+        ({"listening": 0.5, "taken": 0.9, "miss": 1.0}, 1.0),
         # Within the time that it may, and with as much trust as that takes.
         ({"authority": 0.0, "listening": 0.1, "spent": 0.54}, 1.0),
         ({"authority": 0.0, "listening": 0.1, "spent": 0.59}, 0.5 - 0.5),
@@ -201,6 +203,7 @@ def test_no_sample_is_so_long_that_trust_is_below_nothing(constants) -> None:
         # (10 q + 1) (1 − D) (1 − κ) − (50 h + (20 + 800 (1 − π)) D) κ, half of the credit being there.
         ({}, 11.0 * 0.5),
         ({"miss": 0.075}, 6.0 * 0.5),
+        ({"width": 0.75 * BAND}, 6.0 * 0.5),
         ({"miss": 1.0, "taken": 0.22}, 0.8 * 0.5 - 0.2 * 20.0 * 0.5),
         ({"miss": 1.0, "others": (0.6, 0.0)}, 0.8 * 0.5 - 0.2 * 20.0 * 0.5),
         ({"miss": 1.0, "others": (0.0, 1.125 * 0.29**2)}, 0.5 - 0.5 * 50.0 * 0.5),
