@@ -89,6 +89,8 @@ def test_authority_rises_where_what_is_believed_is_what_is_heard(decided, heard,
         ({"noise": 1.55 * NOISE}, 0.5),
         ({"noise": 3.0 * NOISE}, 2.0),
         ({"burst": 3.2 * NOISE}, 0.5),
+        # A sensor without noise has a millionth of a square newton that nobody hears.
+        ({"noise": 0.0, "burst": 0.0, "usual": 0.0}, 0.0),
         ({"burst": 10.0 * NOISE}, 2.0),
         # Of what has half been learned, half counts, and the mean so far is what is usual.
         ({"noise": 1.55 * NOISE, "learned": 0.85, "usual": 0.85 * NOISE}, 0.25),
@@ -154,6 +156,7 @@ def test_authority_is_no_more_than_trust_and_comes_back_by_pardon(decided) -> No
         ({"listening": 0.9, "taken": 0.11, "miss": 1.0}, 0.5),
         ({"listening": 0.9, "taken": 0.12}, 1.0),
         ({"listening": 0.5, "taken": 0.9, "miss": 1.0}, 1.0),
+        ({"listening": 0.9, "taken": 0.12, "credit": 1.0, "strain": 0.2**2}, 1.0),
         # Within the time that it may, and with as much trust as that takes.
         ({"authority": 0.0, "listening": 0.1, "spent": 0.54}, 1.0),
         ({"authority": 0.0, "listening": 0.1, "spent": 0.59}, 0.5 - 0.5),
@@ -245,6 +248,7 @@ def test_unrest_tells_the_other_axes_of_a_push_that_nothing_pardons(decided) -> 
         ({"learned": 0.95, "usual": 0.95 * NOISE}, 0.02 * 0.6),
         ({"learned": 0.95, "usual": 0.95 * NOISE, "burst": 2.2 * NOISE}, 0.0),
         ({"learned": 0.95, "usual": 0.95 * NOISE, "noise": 1.3 * NOISE}, 0.0),
+        ({"learned": 0.95, "usual": 0.95 * NOISE, "noise": 2.0 * NOISE}, 0.0),
         ({"learned": 0.5, "usual": 0.5 * NOISE, "listening": 0.6, "miss": 1.0}, 0.4 * (0.5 + 0.02 * 0.6)),
         ({"learned": 0.5, "usual": 0.5 * NOISE, "authority": 0.9}, 0.0),
     ],

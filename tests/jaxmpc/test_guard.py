@@ -35,11 +35,14 @@ def swinging(seconds: float = 0.8) -> np.ndarray:
     return np.stack([0.2 * slow + swell, 0.1 * slow - 0.5 * swell, 0.3 * slow + 0.2 * swell], 1)
 
 
-def over(error: np.ndarray, held_back: np.ndarray | None = None) -> list[gain_backoff.BackoffMemory]:
-    """What is remembered after every sample; the limits may hold back commands of so much [m²/s⁴]."""
+def over(
+    error: np.ndarray, held_back: np.ndarray | float = 0.0, dither: np.ndarray | float = 0.0
+) -> list[gain_backoff.BackoffMemory]:
+    """What is remembered after every sample; limits may hold back commands [m²/s⁴], and a sine may listen [N]."""
     state, found = gain_backoff.init(), []
-    for sample, held in zip(error.tolist(), np.zeros(len(error)) if held_back is None else held_back, strict=True):
-        state = gain_backoff.step(GUARD, state._replace(held_back=float(held)), sample, FLOATS)
+    held_back, dither = np.broadcast_to(held_back, len(error)), np.broadcast_to(dither, error.shape)
+    for sample, held, sine in zip(error.tolist(), held_back.tolist(), dither.tolist(), strict=True):
+        state = gain_backoff.step(GUARD, state._replace(held_back=held), sample, FLOATS, sine)
         found.append(state.memory)
     return found
 
@@ -51,23 +54,23 @@ def gains_over(error: np.ndarray) -> np.ndarray:
 
 def test_the_gain_is_that_of_scipys_filters() -> None:
     """The formulas of the module over low-passes P = (1 − p)/(1 − p z⁻¹) and high-passes 1 − P by scipy."""
-    error, held_back = swinging(), np.zeros(800)
+    error, held_back, dither = swinging(), np.zeros(800), np.zeros((800, 3))
     held_back[20:60] = 1e3
+    dither[40:240] = 0.2 * np.sin(2.0 * np.pi * 17.0 * T_S * np.arange(200))[:, None] * [1.0, 0.5, -1.0]
     p, a = math.exp(-gain_backoff.CORNER * T_S), gain_backoff
     alpha, least = 1.0 - math.exp(-T_S / a.MEMORY), a.LEAST
 
-    def mean_square(numerator: list[float], order: int) -> np.ndarray:
-        passed = error
+    def mean_square(numerator: list[float], order: int, passed: np.ndarray = error) -> np.ndarray:
         for _ in range(order):
             passed = scipy.signal.lfilter(numerator, [1.0, -p], passed, axis=0)
         found: np.ndarray = scipy.signal.lfilter([alpha], [1.0, alpha - 1.0], np.sum(passed**2, axis=1))
         return found
 
-    swing, drift = mean_square([p, -p], 4), mean_square([1.0 - p], 2)
-    seen = swing / (a.NOTICED**2 + swing + drift / 300.0)
+    swing, drift, heard = mean_square([p, -p], 4), mean_square([1.0 - p], 2), mean_square([], 0, dither)
+    seen = swing / (a.NOTICED**2 + swing + drift / 300.0 + heard / 10.0)
     share = scipy.signal.lfilter([T_S / a.PATIENCE], [1.0, T_S / a.PATIENCE - 1.0], seen)
     overload = scipy.signal.lfilter([alpha], [1.0, alpha - 1.0], held_back / (a.HELD_BACK**2 + held_back))
-    large, lasting = (swing / (a.LIMIT**2 + drift)) ** 4, (share / a.INSISTENT) ** 16
+    large, lasting = (swing / (a.LIMIT**2 + drift + heard)) ** 4, (share / a.INSISTENT) ** 16
     g = m = c = 1.0
     expected = []
     for e, f, over_it in zip(large, lasting, (2.0 * overload) ** 4, strict=True):
@@ -77,7 +80,7 @@ def test_the_gain_is_that_of_scipys_filters() -> None:
         c = c + fall * min(0.0, least + a.BELOW * (m - least) - c) + T_S / a.PROBE * c * (1.0 - c)
         g = least + (1.0 - fall) * (g + T_S / a.RETURN * (c - g) - least)
         expected.append((g, c, m))
-    found = over(error, held_back)
+    found = over(error, held_back, dither)
     gain = np.array([memory.gain for memory in found])
     assert gain[60] < 0.5, "what is held back acts"
     assert gain.min() < 0.3 * gain[60], "the swing acts"
@@ -291,6 +294,13 @@ def test_torques_that_the_limits_hold_come_to_rest(family: Gains, stiffness: flo
     assert np.abs(force[-1000:]).max() < 0.05
     _, held = loop.beat(stiffness, rise=0.05, size=0.015, told=False)
     assert held[-1000:].mean() > 0.5 or (stiffness == 375.0 and not known), "it is the guard that ends it"
+
+
+@pytest.mark.parametrize(("ceiling", "lately", "taken"), [(0.5, 0.4, 0.2), (0.3, 0.45, 0.15), (0.3, 0.3, 0.0)])
+def test_what_is_taken_is_the_way_back_to_the_ceiling_or_to_where_it_was(
+    ceiling: float, lately: float, taken: float
+) -> None:
+    assert gain_backoff.taken(gain_backoff.BackoffMemory(0.3, ceiling, lately), FLOATS) == pytest.approx(taken)
 
 
 def test_the_least_gain_is_without_damping() -> None:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from jaxmpc import Experiment, Params, design, evaluate, swing
+from jaxmpc import Experiment, Params, design, evaluate, metrics, swing
 from jaxmpc.engine.scenario import scenario_data
 from jaxmpc.experiment.reference import Reference
+from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.transmission import N1
 from jaxmpc.world.heart.motion import Motion
 from tests.jaxmpc.linear_loop import TEXT, step_by_step, world
@@ -89,6 +90,21 @@ def test_the_linear_loop_tells_it_only_when_asked() -> None:
     assert np.isfinite(asked.swing).all()
     for name in set(asked._fields) - {"swing"}:
         np.testing.assert_array_equal(getattr(asked, name), getattr(not_asked, name), err_msg=name)
+
+
+def test_metrics_of_joints_are_those_of_their_samples() -> None:
+    """Clamps and torques count over the whole run, steps where an axis does; the largest torque is a negative one."""
+    draw = np.random.default_rng(3)
+    wanted, clamped, counts = draw.normal(size=(50, 4)), draw.random(50) < 0.3, np.arange(50) >= 20
+    wanted[5, 1], wanted[30, 2] = -9.0, -7.0
+    totals = metrics.no_joints(0.0)
+    for k in range(1, 50):
+        totals = metrics.add_joints(totals, bool(counts[k]), float(clamped[k]), wanted[k], wanted[k - 1], FLOATS)
+    sums, extremes = metrics.no_sums(0.0), metrics.no_extremes(0.0)
+    found = metrics.metrics(sums, extremes, 30, 50, None, totals, FLOATS)
+    assert found.clamped == clamped[1:].sum() / 50
+    assert found.joint_torque == 9.0
+    assert found.torque_step == np.abs(np.diff(wanted, axis=0))[19:].max()
 
 
 @pytest.mark.oracle
