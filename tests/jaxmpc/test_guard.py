@@ -43,6 +43,7 @@ def over(
     held_back, dither = np.broadcast_to(held_back, len(error)), np.broadcast_to(dither, error.shape)
     for sample, held, sine in zip(error.tolist(), held_back.tolist(), dither.tolist(), strict=True):
         state = gain_backoff.step(GUARD, state._replace(held_back=held), sample, FLOATS, sine)
+        assert state.held_back == 0.0, "who is told nothing more knows of nothing held back"
         found.append(state.memory)
     return found
 
