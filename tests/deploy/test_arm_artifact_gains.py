@@ -86,6 +86,29 @@ def test_a_family_keeps_its_floor_where_the_tissue_is_known_too(wrong):
         replace(family, family={"band": 0.08, "rows": rows})
 
 
+ROWS = [made.margin_row(810.0)]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "key"),
+    [
+        ({"band": 0.0, "rows": ROWS}, "family.band"),
+        ({"band": 1.0, "rows": ROWS}, "family.band"),
+        ({"band": -0.08, "rows": ROWS}, "family.band"),
+        ({"band": True, "rows": ROWS}, "family.band"),
+        ({"band": 0.08}, "family"),
+        ({"band": 0.08, "rows": ROWS, "knots": 2}, "family"),
+        (7, "family"),
+        ({"band": 0.08, "rows": []}, "margins"),
+    ],
+)
+def test_a_family_tells_its_band_and_its_margins_and_nothing_else(wrong, key):
+    family = made.arm_artifact(6, gains=made.scheduled_gains())
+    with pytest.raises(InputError, match=f"^{key} = "):
+        replace(family, family=wrong)
+    assert replace(family, family={"band": 0.25, "rows": ROWS}).family == {"band": 0.25, "rows": ROWS}
+
+
 @pytest.mark.parametrize("share", [0.5, 2.0])
 def test_a_filter_of_the_force_runs_at_the_rate_of_the_law(share):
     artifact = made.arm_artifact(6)
