@@ -200,6 +200,15 @@ def test_what_is_waited_for_in_vain_ends():
         assert (task_of(now, 0) is Task.OFF) == (state is OperatingState.IDLE)
 
 
+@pytest.mark.parametrize(("state", "waits"), [("IDLE", WAITS._replace(idle=3)), ("ARMED", WAITS._replace(armed=3))])
+def test_every_cycle_of_waiting_counts(state, waits):
+    now, ends = SafetyState(OperatingState[state]), []
+    for _ in range(3):
+        now = machine.step(now, Observations(armed=False, start=False), waits)
+        ends.append(now.over)
+    assert ends == [False, False, True]
+
+
 def test_who_was_silent_besides_is_told_while_the_arm_is_let_go():
     lost = step(SafetyState(OperatingState.CONTACT), READY._replace(hazard=Reason.POSITION_LOST, detail="no puck"))
     now = step(lost, READY._replace(hazard=Reason.POSITION_LOST, detail="nobody"))
