@@ -157,7 +157,7 @@ def _print_arm(arm: "ArmModel") -> None:
         friction = f"cancels what disturbs the momentum, {arm.momentum_observer:g} rad/s"
     print(f"\n  robot       {arm.robot}, tip {arm.tool_length:g} m beyond the elbow")
     print(f"  model       links {sum(link.mass for link in links):.3f} kg × {nominal.mass_scale:g}", end="")
-    print(f", tool error {nominal.tool_error:g} kg, {friction}")
+    print(f", {nominal.tool_error:+g} kg at the tip, {friction}")
     print(f"  posture     {_list(arm.posture)} rad")
     print(f"  encoders    judged with {arm.encoder_counts} counts per motor turn")
     print("\n  limit")

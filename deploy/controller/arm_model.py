@@ -30,6 +30,9 @@ LINK: Mapping[str, tuple[int, ...]] = {
     "position": (3,), "rotation": (3, 3), "mass": (), "moment": (3,), "inertia": (3, 3),
 }  # fmt: skip
 CHAIN: Mapping[str, tuple[int, ...]] = {"armature": (4,), "tip": (3,), "gravity": (3,)}
+TOOL = (-2.0, 12.0)
+"""Mass that a model may have at the tip besides its chain's [kg]: an experiment's tool weighs up to 4 kg, is off by as
+much, and is believed in up to twice."""
 FRICTION: Mapping[str, tuple[int, ...]] = {"coulomb": (4,), "viscous": (4,), "presliding": ()}
 GOLDEN = ("golden_q", "golden_applied", "golden_torque")
 MEANING: Mapping[str, str] = {
@@ -208,9 +211,8 @@ def _nominal(value: Any) -> Nominal:
         raise InputError("arm.nominal.friction", friction, "not negative", "Friction never drives a joint.")
     _between("arm.nominal.friction.presliding", known["presliding"], 1e-5, 0.1)
     mass_scale = _between("arm.nominal.mass_scale", table["mass_scale"], 0.1, 2.0)
-    return Nominal(
-        mass_scale, _between("arm.nominal.tool_error", table["tool_error"], -1.0, 4.0), NominalFriction(**known)
-    )
+    tool_error = _between("arm.nominal.tool_error", table["tool_error"], *TOOL)
+    return Nominal(mass_scale, tool_error, NominalFriction(**known))
 
 
 def _between(name: str, value: Any, low: float, high: float) -> float:

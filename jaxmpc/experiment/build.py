@@ -47,7 +47,8 @@ def robot_of(experiment: Experiment) -> Robot:
         tissue=Tissue(0.0, tissue.constants),
         nominal=Nominal(
             1.0 + arm.mass_error,
-            arm.tool_mass_error,
+            # The chain has the usual tool; of what another one weighs as large a share is believed in as of the links.
+            (1.0 + arm.mass_error) * (arm.tool_mass - TOOL_MASS) + arm.tool_mass_error,
             NominalFriction(
                 tuple(arm.compensation * value for value in arm.nominal_coulomb or arm.coulomb),
                 tuple(arm.compensation * value for value in arm.nominal_viscous or arm.viscous),

@@ -145,7 +145,7 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     substeps: Annotated[int, msgspec.Meta(ge=1, le=64)] = 1
     """Physics steps per sample."""
     tool_mass: Annotated[float, msgspec.Meta(ge=0.0, le=4.0)] = TOOL_MASS
-    """Tool and sensor at the tip [kg]."""
+    """Tool and sensor at the tip; the controller knows it as well as the links, by `mass_error` [kg]."""
     beyond_sensor: Annotated[float, msgspec.Meta(ge=0.0, le=4.0)] = 0.0
     """Part of it whose inertia the force sensor reads; its weight is tared [kg]."""
     coulomb: Torques = (2.025, 2.25, 1.125, 0.66)

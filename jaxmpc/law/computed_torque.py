@@ -37,12 +37,12 @@ POSTURE_STIFFNESS, POSTURE_DAMPING = 20.0, 9.0
 
 
 class Nominal(NamedTuple):
-    """How the controller's model of the arm differs from it; each scalar may be a batch."""
+    """How the controller's model of the arm differs from its chain; each scalar may be a batch."""
 
     mass_scale: Scalar
-    """Mass and inertia of links and tool, as a share of the true ones [-]."""
+    """Mass and inertia of links and tool, as a share of the chain's [-]."""
     tool_error: Scalar
-    """Point mass at the tip that only the model has [kg]."""
+    """Point mass at the tip that the model has besides, as for a tool that is not the chain's [kg]."""
     friction: NominalFriction
     """What is cancelled of the joints' friction, if any."""
 

@@ -64,9 +64,9 @@ def uncompensated_acceleration(experiment: Experiment) -> Float[np.ndarray, "ste
         experiment: Its heart moves, its arm rubs.
     """
     T_s = experiment.sampling_time
-    robot, truth = robot_of(experiment), chain()
-    truth = with_point_mass(truth, robot.tool_mass)
-    model = with_point_mass(truth, robot.nominal.tool_error / robot.nominal.mass_scale)
+    robot = robot_of(experiment)
+    truth = with_point_mass(chain(), robot.tool_mass)
+    model = with_point_mass(chain(), robot.nominal.tool_error / robot.nominal.mass_scale)
     posture = _posture(truth, model, robot)
     x, velocity = displacement(experiment.motion, np.arange(experiment.steps) * T_s)
     q, qd = x @ posture.J_bar.T, velocity @ posture.J_bar.T

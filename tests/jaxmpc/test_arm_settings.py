@@ -1,9 +1,11 @@
 """The tables [arm] and [tissue]: what is refused and how it is said; targets and what reaches them."""
 
+from copy import copy
 from pathlib import Path
 from typing import Any
 
 import hypothesis.strategies as st
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -12,7 +14,9 @@ from jaxmpc import Experiment, InputError, Params
 from jaxmpc.engine.scenario import with_physics
 from jaxmpc.experiment.build import robot_of
 from jaxmpc.experiment.tables import ArmSettings, TissueSettings, softening
-from jaxmpc.world.arm import JOINTS, TOOL_MASS, joint_ranges, link_inertias, model, tip_at
+from jaxmpc.law import computed_torque
+from jaxmpc.law.ops import FLOATS
+from jaxmpc.world.arm import JOINTS, TOOL_MASS, chain, joint_ranges, link_inertias, model, tip_at
 from tuning.trials.drawn import NOMINAL, Job
 
 WAM = 'physics = "wam"\n'
@@ -173,6 +177,24 @@ def test_constants_of_the_world() -> None:
     omega = 2.0 * np.pi * 20.0
     np.testing.assert_allclose(found.cable.stiffness, omega**2 * link_inertias(arm.posture))
     np.testing.assert_allclose(found.cable.damping, 0.2 * omega * link_inertias(arm.posture))
+
+
+@pytest.mark.parametrize("error", [0.0, 0.1])
+@pytest.mark.parametrize("share", [1.0, 0.8])
+@pytest.mark.parametrize("tool", [0.0, TOOL_MASS, 0.8, 4.0])
+def test_the_law_knows_the_tool(tool: float, share: float, error: float) -> None:
+    """Links and tool are believed in by the same share, whatever the tool weighs; the error comes on top."""
+    settings = ArmSettings(tool_mass=tool, mass_error=share - 1.0, tool_mass_error=error)
+    believed = robot_of(Experiment(physics="wam", arm=settings)).nominal
+    still, four = (0.0,) * 3, (0.0,) * 4
+    posture = settings.posture
+    found = computed_torque.torque(chain(), believed, posture, posture, four, still, still, four, FLOATS).torque
+    compiled = copy(model())
+    compiled.body("tool").mass = tool + error / share
+    data = mujoco.MjData(compiled)
+    data.qpos[:4] = posture
+    mujoco.mj_forward(compiled, data)
+    np.testing.assert_allclose(found, share * data.qfrc_bias[:4], atol=1e-9)
 
 
 def test_changes_of_the_tissue_come_one_after_the_other() -> None:

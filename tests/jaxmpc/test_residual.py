@@ -260,6 +260,7 @@ def test_a_perfect_arm_is_what_the_controller_asks() -> None:
     [
         {},
         {"posture": (0.3, 0.5, 0.4, 1.9), "mass_error": -0.2, "tool_mass_error": 0.1},
+        {"tool_mass": 2.5, "mass_error": -0.2},
         {"compensation": 0.6},
         {"coulomb": (0.0, 0.0, 0.0, 0.0), "viscous": (1.5, 0.9, 0.5, 0.25), "mass_error": 0.15},
     ],
