@@ -4,7 +4,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jaxmpc.files.errors import InputError
 
@@ -18,6 +18,8 @@ MOST = 8
 """Controllers that one picture can tell apart."""
 SEEDS = 8
 """Drawn motions unless told otherwise."""
+SAME = 1e-6
+"""Share of its largest number by which two designs of one constant differ on two machines, and some room [-]."""
 FIRST_SEED = 1000
 """Seed of the first drawn motion; tuners train on others unless told otherwise."""
 
@@ -62,6 +64,9 @@ def run(args: argparse.Namespace) -> int:
     experiment = experiment_from(args.experiment)
     seeds = seeds_of(args.seeds, experiment)
     use_all_cores()
+    for one in contenders:
+        if one.frozen is not None:
+            check_law(one, experiment)
     from jaxmpc.report.compare_page import report_of
     from jaxmpc.report.comparison import compared
     from jaxmpc.report.page import write_report
@@ -129,11 +134,50 @@ def contender_from(text: str) -> "Contender":
             artifact = load(path)
         except (ArtifactError, OSError) as error:
             raise InputError("controller", path, "a frozen controller", f"{error}.") from None
-        return Contender(given or path.stem, Params.from_dict(artifact.params), f"frozen, {path}")
+        return Contender(given or path.stem, Params.from_dict(artifact.params), f"frozen, {path}", artifact)
     params = params_from(place)
     if path.suffix == ".toml":
         return Contender(given or path.stem, params, f"{path}")
     return Contender(given or place, params, f"the published set {place}")
+
+
+def check_law(contender: "Contender", experiment: "Experiment") -> None:
+    """Refuse a frozen controller that would be another one here: what runs is designed anew from its parameters.
+
+    Raises:
+        InputError: It samples at another time, or has other gains than its parameters have on this experiment.
+    """
+    import jax
+    import numpy as np
+
+    from deploy.controller import frozen_gains
+    from jaxmpc.synthesis import design
+
+    artifact, params = contender.frozen, contender.params
+    if artifact.T_s != experiment.sampling_time:
+        bound = f"{experiment.sampling_time:g} s, as {experiment.name} samples"
+        remedy = "Its gains hold for no other: compare it on an experiment with its sampling_time."
+        raise InputError(f"sampling time of {contender.name}", f"{artifact.T_s:g} s", bound, remedy)
+    found = design(params, experiment.timing, experiment.loop_path().force_filter)
+    anew = frozen_gains.checked(jax.tree.map(np.asarray, found))
+    if not _alike(frozen_gains.plain(artifact.gains), frozen_gains.plain(anew)):
+        bound = f"of the gains that its parameters have on {experiment.name}"
+        remedy = (
+            "Compare it on an experiment with its filter of the force; if another version froze it, freeze it anew."
+        )
+        raise InputError(f"controller {contender.name}", "one of other gains", bound, remedy)
+
+
+def _alike(frozen: Any, anew: Any) -> bool:
+    """Whether two tables of gains, or lists of numbers or of tables, are the same but for rounding."""
+    import numpy as np
+
+    if isinstance(frozen, dict):
+        return frozen.keys() == anew.keys() and all(_alike(frozen[key], anew[key]) for key in frozen)
+    if isinstance(frozen, list):
+        return len(frozen) == len(anew) and all(map(_alike, frozen, anew))
+    a, b = np.asarray(frozen, float), np.asarray(anew, float)
+    return a.shape == b.shape and bool(np.all(np.abs(a - b) <= SAME * np.max(np.abs(a), initial=0.0)))
 
 
 def named(contenders: Sequence["Contender"]) -> "list[Contender]":

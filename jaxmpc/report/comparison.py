@@ -25,6 +25,8 @@ class Contender(NamedTuple):
     params: Params
     origin: str
     """Where it comes from, in words."""
+    frozen: Any = None
+    """The artifact that it is, a `deploy.controller.artifact.Artifact`; None of parameters alone."""
 
 
 @dataclass(frozen=True)

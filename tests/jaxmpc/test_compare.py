@@ -1,18 +1,23 @@
 """`jaxmpc compare`: what it takes, what it finds, what it refuses."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import jax
 import msgspec
 import numpy as np
 import pytest
 from scipy import stats
 
+from deploy.controller.frozen_gains import checked
+from jaxmpc import Timing, design
 from jaxmpc.cli import main
-from jaxmpc.cli.compare import SEEDS, contender_from, named, seeds_of
+from jaxmpc.cli.compare import SEEDS, check_law, contender_from, named, seeds_of
 from jaxmpc.closed_loops import Outcome
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.toml import write_toml
+from jaxmpc.law.gains import Gains
 from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.report.charts import force_charts
@@ -158,6 +163,27 @@ def test_a_folder_without_a_result_and_a_file_that_is_no_controller(tmp_path: Pa
     for path, bound in ((tmp_path, "one with a params.toml"), (tmp_path / "false.npz", "a frozen controller")):
         with pytest.raises(InputError, match=bound):
             contender_from(str(path))
+
+
+def frozen(params: Params, gains: Gains, T_s: float) -> Contender:
+    """What `contender_from` makes of a frozen controller, as far as its law goes."""
+    return Contender("mine", params, "", SimpleNamespace(T_s=T_s, gains=checked(jax.tree.map(np.asarray, gains))))
+
+
+def test_a_frozen_controller_that_would_be_another_one_is_refused() -> None:
+    """What is compared is designed anew: one of 2 ms ran at 1 ms as what it is not, under its own name."""
+    cautious, experiment = Params.published("cautious"), Experiment.published("table-1")
+    gains = design(cautious)
+    check_law(frozen(cautious, gains, 1e-3), experiment)
+    rounded = gains._replace(K=tuple(k * (1.0 + 1e-12) for k in np.asarray(gains.K)))
+    check_law(frozen(cautious, rounded, 1e-3), experiment)
+    with pytest.raises(InputError, match=r"sampling time of mine = 0.002 s: must be 0.001 s, as table-1 samples"):
+        check_law(frozen(cautious, design(cautious, Timing(2e-3)), 2e-3), experiment)
+    with pytest.raises(InputError, match="controller mine = one of other gains"):
+        check_law(frozen(cautious, design(Params.published("text")), 1e-3), experiment)
+    filtered = msgspec.structs.replace(experiment, sensor=msgspec.structs.replace(experiment.sensor, kalman=1.0))
+    with pytest.raises(InputError, match="with its filter of the force"):
+        check_law(frozen(cautious, gains, 1e-3), filtered)
 
 
 def made_up(rms: float, random: np.random.Generator) -> tuple[Outcome, Metrics]:
