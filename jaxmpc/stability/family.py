@@ -35,15 +35,19 @@ from jaxmpc.xla.rows import repeated, reshaped
 KNOWN, RATIOS = 25, 5
 """Known stiffnesses, log-spaced between the outer knots, and K_s/K̂ over the band, at which a schedule is judged."""
 
+ROUNDED = 1e-9
+"""Share by which two stiffnesses that are meant to be one differ at most [-]."""
+
 
 def judged_where(
     listening: Listening, known: int = KNOWN, ratios: int = RATIOS
 ) -> tuple[Float[np.ndarray, " known"], Float[np.ndarray, " ratios"]]:
     """Where a family is judged: K̂ held at and between the knots [N/m], and K_s/K̂ over the band [-]."""
-    places, band = listening.stiffness, listening.band
-    return np.unique([*places, *np.geomspace(places[0], places[-1], known)]), np.linspace(
-        1.0 - band, 1.0 + band, ratios
-    )
+    places, band = np.array(listening.stiffness), listening.band
+    between = np.geomspace(places[0], places[-1], known)
+    # One that is a knot's but for rounding would be judged twice.
+    apart = np.abs(between[:, None] / places - 1.0).min(axis=1) > ROUNDED
+    return np.unique([*places, *between[apart]]), np.linspace(1.0 - band, 1.0 + band, ratios)
 
 
 def held(gains: Gains, K2: Any, stiffness: Float[Array, " known"]) -> tuple[Gains, Float[Array, " known"]]:

@@ -14,7 +14,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.law import cascade, identification, schedule
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.stiffness import SILENT
-from jaxmpc.stability.family import family_margins, gains_on
+from jaxmpc.stability.family import KNOWN, family_margins, gains_on, judged_where
 from jaxmpc.synthesis.listening import Listening
 from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla import ops
@@ -226,3 +226,15 @@ def test_doubt_under_one_axis_takes_the_authority_from_all(gains: Gains) -> None
     calm, _, _ = schedule.listen(gains, sure, 0.0, 0.0, 0.0, 0.0, SILENT, ops)
     assert calm.tissue is not None
     assert calm.tissue.authority == 1.0
+
+
+@pytest.mark.parametrize(
+    ("places", "count"),
+    [((810.0,), 1), ((375.0, 1900.0), KNOWN), ((375.0, 810.0, 1900.0), KNOWN + 1), ((300.0, 600.0, 1200.0), KNOWN)],
+)
+def test_a_family_is_judged_once_at_each_known_stiffness(places: tuple[float, ...], count: int) -> None:
+    """Logarithms round: a single knot was judged, and told, at 810 and at 810.0000000000003 N/m."""
+    known, _ = judged_where(Listening(places))
+    assert len(known) == count
+    assert np.all(np.diff(known) > 1e-6 * known[:-1])
+    assert set(places) <= set(known.tolist())
