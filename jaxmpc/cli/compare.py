@@ -134,7 +134,11 @@ def contender_from(text: str) -> "Contender":
             artifact = load(path)
         except (ArtifactError, OSError) as error:
             raise InputError("controller", path, "a frozen controller", f"{error}.") from None
-        return Contender(given or path.stem, Params.from_dict(artifact.params), f"frozen, {path}", artifact)
+        try:
+            params = Params.from_dict(artifact.params)
+        except InputError as error:  # another version's
+            raise error.at(path) from None
+        return Contender(given or path.stem, params, f"frozen, {path}", artifact)
     params = params_from(place)
     if path.suffix == ".toml":
         return Contender(given or path.stem, params, f"{path}")

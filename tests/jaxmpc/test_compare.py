@@ -1,5 +1,6 @@
 """`jaxmpc compare`: what it takes, what it finds, what it refuses."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from deploy.controller.file import to_bytes
 from deploy.controller.frozen_gains import checked
 from jaxmpc import Timing, design
 from jaxmpc.cli import main
@@ -28,6 +30,7 @@ from jaxmpc.stability import Margins
 from jaxmpc.status import Status
 from jaxmpc.synthesis.params import Params
 from jaxmpc.terminal.arguments import experiment_from, name_and_place, params_from
+from tests.deploy import made
 
 SHORT = """\
 name = "short"
@@ -163,6 +166,15 @@ def test_a_folder_without_a_result_and_a_file_that_is_no_controller(tmp_path: Pa
     for path, bound in ((tmp_path, "one with a params.toml"), (tmp_path / "false.npz", "a frozen controller")):
         with pytest.raises(InputError, match=bound):
             contender_from(str(path))
+
+
+def test_parameters_of_a_frozen_controller_that_this_version_does_not_know_are_told_with_its_file(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "other.npz"
+    path.write_bytes(to_bytes(replace(made.arm_artifact(), params={"lamb": 1.0})))
+    with pytest.raises(InputError, match=r"other.npz: lamb = 1.0: must be a known parameter"):
+        contender_from(str(path))
 
 
 def frozen(params: Params, gains: Gains, T_s: float) -> Contender:
