@@ -46,6 +46,21 @@ def test_a_goal_of_the_runs_is_missed_where_it_stands_worst_not_where_the_soft_g
     assert missed.unmet() == f"{found} by the point that came closest"
 
 
+def test_an_overshoot_is_missed_by_the_linear_loop_and_not_in_training(small: Job, result: TuneResult) -> None:
+    goals = {"M_s": 2.0, "overshoot": 0.5, "ideal": False, "soft": {"rms": 0.1}}
+    spec = TuneSpec.from_dict(small(tune={"margin_points": 5}, goals=goals))
+    problem = problem_of(spec, training(spec, (0,)))
+    state = SearchState.new(spec.space.draw(1, 0), None, 1, (2, 1))
+    cells = Metrics(*(np.full((1, 3, 1, 3), 0.1) for _ in Metrics._fields))
+    numbers = {"score": np.ones(1), "worst": np.full(1, 0.1), "tissue": np.zeros(1, int), "cells": cells}
+    seen: Any = SimpleNamespace(**numbers, M_s=np.ones((1, 3)), hard=np.array([[0.9, 1.1]]), soft=np.ones((1, 1)))
+    state.record(seen, exact=True, worth=0.0, hard_at=problem.hard_at(cells))
+    state.iteration += 1
+    missed = replace(result, spec=spec, feasible=False, steps=[Step("linear", problem, state)])
+    found = "no point meets every goal: overshoot ≤ 0.5 is missed by 0.05 by the point that came closest"
+    assert missed.unmet() == found
+
+
 def test_what_freezing_refuses_is_not_met(result: TuneResult) -> None:
     refused = replace(result, refused="golden_torque of J2 = 117 N m")
     assert not refused.met

@@ -14,7 +14,7 @@ from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import MARGINS, METRICS
 from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.precision import in_float64
-from tuning.job.goals import GOALS, margin_goals
+from tuning.job.goals import GOALS, OVERSHOOT, margin_goals
 from tuning.job.scenarios import scenarios
 from tuning.job.spec import TuneSpec
 from tuning.objective.comparison import missed_by, standing_of, versus
@@ -124,7 +124,7 @@ class TuneResult(FoundController):
         where = ""
         if name in limits:
             where = f" at {judged.place(int(np.argmax(normalised[list(limits).index(name)])))}"
-        else:
+        elif name != OVERSHOOT:  # the linear loop's, of no scenario
             at = step.state.hard_at[last, step.state.leader, [*limits, *step.problem.hard_goals].index(name)]
             where = " in training"
             where += f", worst on {self.spec.experiment.stiffness[int(at)]:g} N/m" if np.isfinite(at) else ""
