@@ -2,6 +2,7 @@
 
 VENV ?= .venv
 ROBOT_VENV ?= .venv-robot
+OLDEST_VENV ?= .venv-oldest
 PYTHON ?=
 UV ?= uv
 PYTEST = $(VENV)/bin/python -m pytest
@@ -11,7 +12,7 @@ DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo environment test test-and-oracles test-oracles test-slow planted-faults lint types robot-test kernel-test bench docs pins clean
+.PHONY: help demo environment test test-and-oracles test-oracles test-slow planted-faults lint types robot-test oldest-test kernel-test bench docs pins clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -51,6 +52,13 @@ robot-test: $(ROBOT)  ## the robot's tests, where only numpy, python-can and pyt
 		echo "$(ROBOT_VENV) holds jax: remove it and try again" >&2; exit 1; fi
 	@$(ROBOT_VENV)/bin/python -m pytest tests/deploy \
 		-o addopts="--import-mode=importlib --strict-markers" -m "not slow and not oracle and not hardware"
+
+# What is deprecated there is the oldest versions' own affair.
+oldest-test:  ## the fast tests with the oldest packages that are allowed (needs uv); TESTS=tests/deploy chooses
+	@command -v $(UV) >/dev/null || { echo "make oldest-test needs uv: install it, or name it by UV=…" >&2; exit 1; }
+	$(UV) venv --quiet --clear --python $(or $(PYTHON),3.11) $(OLDEST_VENV)
+	$(UV) pip install --quiet --python $(OLDEST_VENV) --resolution lowest-direct $(UV_FLAGS) --group build -e '.[dev]'
+	$(OLDEST_VENV)/bin/python -m pytest -W ignore::DeprecationWarning $(TESTS)
 
 kernel-test: $(DEV)  ## flights on a kernel's own CAN, in a virtual machine: an hour, and packages of docs/robot.md
 	@$(VENV)/bin/python -m tests.kernel $(if $(KERNELS),--kernels $(KERNELS)) $(if $(JOBS),--jobs $(JOBS))
