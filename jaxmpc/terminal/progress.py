@@ -56,9 +56,14 @@ def _bar(title: str, total: int) -> Iterator[Tick]:
         MofNCompleteColumn(),
         TimeRemainingColumn(),
     )
-    with BarAndNote(*columns, console=console) as bar:
-        task = bar.add_task(title, total=total, note="")
-        yield lambda done, note: bar.update(task, completed=done, note=note)
+    bar = BarAndNote(*columns, console=console)
+    try:
+        with bar:
+            task = bar.add_task(title, total=total, note="")
+            yield lambda done, note: bar.update(task, completed=done, note=note)
+    finally:
+        # Ctrl-C while it begins has hidden the cursor, and nobody has been told to show it again.
+        bar.stop()
 
 
 def _lines(title: str, total: int, unit: str) -> Iterator[Tick]:

@@ -1,5 +1,7 @@
 """What a user sees at 60, 80 and 120 columns, read from a terminal emulator: no number cut, none torn apart."""
 
+import sys
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from jaxmpc.terminal.progress import progress
 from jaxmpc.terminal.tables import RESIDUAL_HEADER
 from tests.screen import WIDTHS, on_terminal, shown
 
+HIDE_CURSOR, SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
 TRIALS = ("controller", "RMS N, median", "true", "|e| N, 99 %", "largest", "swing N, median", "95 %", "guard at rest %")
 TABLES = {
     "residuals": (RESIDUAL_HEADER, 2, "paper's text design, as it was published"),
@@ -72,6 +75,34 @@ def test_progress_keeps_its_numbers(columns: int, tmp_path: Path) -> None:
     for number in ("1234567/1234567", "987654", "1357", "0.02468", "43210", "56789"):
         assert number in text
     assert "…" not in text
+
+
+class Terminal(StringIO):
+    """One that is written to."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_bar_that_is_interrupted_as_it_begins_leaves_the_terminal_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its cursor is back, what is printed goes where it went, and the next bar begins."""
+    stderr = Terminal()
+    monkeypatch.setattr("sys.stderr", stderr)
+    monkeypatch.setenv("TERM", "xterm")
+    before = sys.stdout
+
+    def struck(self: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as once:
+        once.setattr("rich.live.Live.refresh", struck)
+        with pytest.raises(KeyboardInterrupt), progress("laws", 9):
+            pass
+    assert stderr.getvalue().rindex(SHOW_CURSOR) > stderr.getvalue().rindex(HIDE_CURSOR)
+    assert (sys.stdout, sys.stderr) == (before, stderr)
+    with progress("laws", 9) as tick:
+        tick(9, "all of them")
+    assert "all of them" in stderr.getvalue()
 
 
 def test_the_time_that_is_left_knows_no_compiling(
