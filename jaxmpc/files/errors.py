@@ -33,7 +33,7 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         where = f"{self.file}:{self.line}: " if self.line else f"{self.file}: " if self.file else ""
-        key, value = plain(self.key, LONGEST_VALUE), plain(_text_of(self.value), LONGEST_VALUE)
+        key, value = plain(f"{self.key}", LONGEST_VALUE), plain(_text_of(self.value), LONGEST_VALUE)
         return plain(f"{where}{key} = {value}: must be {self.bound}. {self.remedy}")
 
     def __repr__(self) -> str:

@@ -12,6 +12,8 @@ import pytest
 from jaxmpc import InputError, Params
 from jaxmpc.quantities import HU_MAX
 from jaxmpc.synthesis.listening import Listening
+from sweeps import SweepSpec
+from tuning import TuneSpec
 
 BATCH = Params.stack([Params(), Params(lam=0.3)])
 
@@ -58,6 +60,24 @@ def test_what_is_traced_has_no_value_that_plain_data_could_be() -> None:
     with pytest.raises(InputError, match=r"^lam = .*: must be a number"):
         jax.jit(lambda lam: Params.from_dict({"lam": lam}).lam)(0.1)
     assert jax.jit(lambda lam: Params(lam=lam).lam)(0.1) == np.float32(0.1)
+
+
+@pytest.mark.parametrize("key", [3, None, ("lam", "delta")])
+@pytest.mark.parametrize(
+    "read",
+    [
+        Params.from_dict,
+        lambda table: Params.from_dict({"knots": [table]}),
+        Params().with_columns,
+        lambda table: TuneSpec.from_dict({"tune": {"free": table}}),
+        TuneSpec.from_dict,
+        SweepSpec.from_dict,
+    ],
+)
+def test_a_key_that_is_no_text_is_told(read: Callable[[Any], Any], key: Any) -> None:
+    with pytest.raises(InputError) as caught:
+        read({key: 0.1})
+    assert f"{caught.value}".removeprefix("tune.free.").startswith(f"{key} = ")
 
 
 @pytest.mark.parametrize("column", [["a", "b"], ["1", "2"], [1j, 2j], [[0.1], [0.2, 0.3]], [None, 1.0]])

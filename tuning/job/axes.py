@@ -30,7 +30,7 @@ def free_table(table: Any, prefix: str = "") -> dict[str, Bounds | None]:
         raise InputError("tune.free", table, "a table", "Write `[tune.free]` and one line per parameter.")
     free: dict[str, Bounds | None] = {}
     for key, value in table.items():
-        name = prefix + key
+        name = f"{prefix}{key}"
         if isinstance(value, dict) and (key == KNOTS[:-1] or prefix):
             free |= free_table(value, f"{name}.")
             continue
