@@ -60,7 +60,7 @@ def __getattr__(name: str) -> Any:
             raise
         # As on a robot, which has numpy and python-can alone.
         text = f"jaxmpc.{name} needs {error.name}: install the workstation, pip install 'jaxmpc[sim]'"
-        raise ImportError(text, name=name) from None
+        raise ModuleNotFoundError(text, name=error.name) from None
 
 
 def __dir__() -> list[str]:
