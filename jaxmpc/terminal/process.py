@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, check_type
 
 REPEATABLE = {"xla_gpu_autotune_level": "0", "xla_gpu_deterministic_ops": "true", "xla_gpu_enable_triton_gemm": "false"}
 """Flags of XLA, by which a GPU computes the same bits every time."""
@@ -111,7 +111,7 @@ def users_cache() -> Path | None:
     return cache / "jaxmpc" if cache.is_absolute() else None
 
 
-def remember_programs(folder: Path | None = None) -> None:
+def remember_programs(folder: str | Path | None = None) -> None:
     """Keep programs for the next process, compiled and traced, whose first `evaluate` then takes seconds.
 
     The command line calls it; a library keeps nothing unless asked to. JAX_COMPILATION_CACHE_DIR names another place,
@@ -119,7 +119,11 @@ def remember_programs(folder: Path | None = None) -> None:
 
     Args:
         folder: Where to; None is the user's cache, or nowhere where the user has no home.
+
+    Raises:
+        InputError: It is no name of a folder.
     """
+    check_type("folder", folder, str | Path | None, "Name one, or leave it out for the user's cache.")
     import jax
 
     from jaxmpc.xla import store

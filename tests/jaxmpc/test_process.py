@@ -4,9 +4,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+import jaxmpc
+from jaxmpc import InputError
 from jaxmpc.terminal import process
 from jaxmpc.terminal.process import REPEATABLE, memory_as_needed, one_thread_for_blas, repeat_to_the_bit
 
@@ -56,3 +59,15 @@ def test_xla_knows_the_flags() -> None:
     surroundings = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
     done = subprocess.run([sys.executable, "-c", code], env=surroundings, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "3.0\n"), done.stderr
+
+
+@pytest.mark.parametrize("folder", [3, True, b"programs"])
+def test_what_is_no_folder_for_programs_is_refused(
+    folder: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It became one of that name where the user was, for all that was compiled from then on."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("jax.config.update", lambda key, value: None)
+    with pytest.raises(InputError, match=r"^folder = .*must be of the type str"):
+        jaxmpc.remember_programs(folder)
+    assert list(tmp_path.iterdir()) == []
