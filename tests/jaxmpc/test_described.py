@@ -75,5 +75,5 @@ def test_where_jax_is_missing_the_import_says_what_to_install(tmp_path: Path) ->
     root = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root, check=False)
     assert done.returncode == 1
-    assert done.stderr.splitlines()[-1].startswith("ImportError: jaxmpc.Params needs ")
+    assert done.stderr.splitlines()[-1].startswith("ModuleNotFoundError: jaxmpc.Params needs ")
     assert "jaxmpc[sim]" in done.stderr
