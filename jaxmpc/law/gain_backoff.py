@@ -28,7 +28,7 @@ g_D on, and gone at the least one:
 
     K₂ clip((g − g_min)/(g_D − g_min), 0, 1)
 
-While torques change as fast as they may, the damping alone swings on an arm with soft cables, at 35 to 55 Hz, however
+While torques change as fast as they may, the damping alone swings on an arm with soft cables, at 38 to 49 Hz, however
 little the cascades do. A heart's own residual, sensor noise and a single beat are neither large nor lasting: there g is
 1 and the loop keeps its margins. An event that the guard took for a swing costs a ceiling below 1 that is back within
 minutes.
