@@ -1,6 +1,6 @@
 """In how many trials the heart alone would count as swinging, under a tip that stands still.
 
-    python -m benchmarks.still_tip --trials 10080          # plausible arms; some 10 ms a motion, and 2 a trial
+    python -m benchmarks.still_tip --trials 10080          # plausible arms; ten times as many take a minute
     python -m benchmarks.still_tip --trials 10080 --hard   # stress arms
 
 Trials count an arm as swinging whose true force above 12 Hz has more than 0.1 N RMS over the last 10 s, whoever moves.

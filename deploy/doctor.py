@@ -22,12 +22,11 @@ from deploy.loop.realtime import MonotonicClock, next_deadline, prepared
 from deploy.loop.statistics import LATE_OVERRUNS, Histogram
 from deploy.puck.codec import PUCKS, SAFETY_MODULE, SENSOR, decode, get
 from deploy.puck.messages import PropertyReply
-from deploy.puck.properties import STAT_ERROR, STAT_READY
+from deploy.puck.properties import MODE, STAT, STAT_ERROR, STAT_READY
 
 HIGHEST_LOAD = 0.9
 """Share of the bus that may be planned with frames of the worst length: the rest is adapters and the unexpected."""
 BIT_RATE = 1_000_000
-STAT, MODE = 5, 8
 POLLS = 50.0
 """How often states are asked for besides positions and force [1/s]."""
 _LISTEN_S, _ANSWER_S = 0.2, 0.02

@@ -6,11 +6,11 @@ from typing import Literal
 from deploy.errors import BusError, CalibrationError
 from deploy.puck import properties
 from deploy.puck.codec import PUCKS, SAFETY_MODULE
+from deploy.puck.properties import STAT
 from deploy.wam.asked import SEVENTH, four_joints, no_faults, read_puck, safety_version
 from deploy.wam.pucks import Pucks
 from jaxmpc.files.errors import InputError
 
-STAT = 5
 UNHOMED = "arm: it does not know where it is (ZERO is not set): fold it to its home position, then `run --home`"
 
 

@@ -28,6 +28,8 @@ def _numbered(names: str, first: int) -> dict[str, int]:
 
 
 _EVERYWHERE: Final = _numbered("VERS ROLE SN ID ERROR STAT ADDR VALUE MODE", 0)
+VERS, ROLE, STAT, MODE = (_EVERYWHERE[name] for name in ("VERS", "ROLE", "STAT", "MODE"))
+"""Numbers that are the same in every firmware."""
 _COMMON: Final = {
     **_EVERYWHERE,
     **_numbered("TEMP PTEMP OTEMP BAUD LOCK DIG0 DIG1 FET0 FET1 ANA0 ANA1 THERM VBUS IMOTOR VLOGIC ILOGIC SG", 9),

@@ -11,11 +11,9 @@ from deploy.errors import BusError, CalibrationError
 from deploy.puck import properties
 from deploy.puck.codec import GROUPS, SAFETY_MODULE
 from deploy.puck.pendant import decode_pendant
+from deploy.puck.properties import ROLE, VERS
 from deploy.wam.pucks import PuckInfo
 
-VERS: Final = 0
-ROLE: Final = 1
-"""Numbers that are the same in every firmware."""
 SEVENTH: Final = (5, 6, 7)
 """Pucks of an arm with seven joints, which one with four has not."""
 

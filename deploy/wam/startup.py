@@ -12,6 +12,7 @@ from deploy.errors import BusError, CalibrationError
 from deploy.force.sensor import ForceSensor
 from deploy.puck import properties
 from deploy.puck.codec import GROUPS, PUCKS, SAFETY_MODULE, SENSOR, get
+from deploy.puck.properties import MODE, STAT
 from deploy.wam import asked
 from deploy.wam.arm import WamArm
 from deploy.wam.dialogue import NS, TRIES, Clock, Dialogue, name_of
@@ -25,8 +26,6 @@ QUIET_S: Final = 0.05
 """How long is listened before a word is said [s]: a controller at work sends a hundred frames in that time."""
 LINK_S: Final = 1.0
 """Patience for an interface that is down [s]: one that is being restarted comes up within."""
-STAT, MODE = 5, 8
-"""Numbers that are the same in every firmware."""
 
 
 def startup(
@@ -71,9 +70,8 @@ def startup(
     safety_version = _idle_safety_module(talk, status, patience_s, report)
     safety = partial(properties.number, kind="safety", version=safety_version)
     asked.no_faults(talk.must, safety_version)
-    if any(
-        node not in status for node in (*PUCKS, *sensors)
-    ):  # they may have come up while the operator was waited for
+    # They may have come up while the operator was waited for.
+    if any(node not in status for node in (*PUCKS, *sensors)):
         status = _enumerate(talk)
     for node in (*PUCKS, *sorted(sensors)):
         if node not in status:
