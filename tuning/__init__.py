@@ -14,6 +14,7 @@ from tuning.reports.explained import study
 from tuning.reports.figures import before_after_figure, history_figure
 from tuning.reports.files import HISTORY, write
 from tuning.reports.text import report
+from tuning.search.ahead import threads
 from tuning.search.front import Front, pareto
 from tuning.search.run import run_search
 
@@ -52,11 +53,12 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
-    history = run_search(spec, place, progress, programs)
-    if place is None:
-        return assess(history, progress)
-    with Beside(1) as beside:
-        way = beside.submit(history_figure, history, place / HISTORY)
-        result, explaining = assess_and(study, history, progress)
-        write(result, explaining, place, way)
-    return result
+    with threads() as pool:
+        history = run_search(spec, place, progress, programs, pool)
+        if place is None:
+            return assess(history, progress)
+        with Beside(1) as beside:
+            way = beside.submit(history_figure, history, place / HISTORY)
+            result, explaining = assess_and(study, history, progress)
+            write(result, explaining, place, way)
+        return result

@@ -176,8 +176,9 @@ def margins_of_cells(cells: Cells, *, ideal: bool) -> Margins:
         return found
     count, whole = len(cells.residual), padded(cells, CELLS)
     cuts = jnp.array([0.0, 0.0 if ideal else 1.0])
-    blocks = reshaped(whole, 1, -1, CELLS)
-    parts = [_block(jax.tree.map(lambda leaf, i=i: leaf[i], blocks), cuts) for i in range(-(-count // CELLS))]
+    # Rows of numpy's arrays: each of JAX's would be an operation of its own, more than judging them takes.
+    blocks = [jax.tree.map(lambda leaf, i=i: leaf[i : i + CELLS], whole) for i in range(0, count, CELLS)]
+    parts = [_block(block, cuts) for block in blocks]
     joined: Margins = jax.tree.map(lambda *rows: jnp.asarray(np.concatenate(rows)[:count]), *parts)
     return joined
 

@@ -59,13 +59,24 @@ class JitOnce:
 
     def compile(self, *args: Any, **kwargs: Any) -> None:
         """Compile for arrays like these, on their devices, before they are there to run with."""
-        with self._one_at_a_time(args, kwargs):
+        self.traced(*args, **kwargs)()
+
+    def traced(self, *args: Any, **kwargs: Any) -> Callable[[], None]:
+        """The same in two steps: trace, which keeps Python busy; what is returned compiles, which does not."""
+        alone = self._one_at_a_time(args, kwargs)
+        with alone:
             kept = self._from_store(args, kwargs)
             if kept is None:
-                self._quick.lower(*args, **kwargs).compile()
+                lowered = self._quick.lower(*args, **kwargs)
             else:
-                compiled: Any = kept.call
-                compiled.lower(*jax.tree.leaves(self._named(args, kwargs)[0])).compile()
+                program: Any = kept.call
+                lowered = program.lower(*jax.tree.leaves(self._named(args, kwargs)[0]))
+
+        def compile() -> None:
+            with alone:
+                lowered.compile()
+
+        return compile
 
     def _one_at_a_time(self, args: Any, kwargs: Any) -> Lock:
         """Held while a program is compiled, or begun: JAX does not wait for what it begins."""

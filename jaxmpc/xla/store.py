@@ -9,11 +9,12 @@ import inspect
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
+from threading import RLock
 from typing import Any, NamedTuple
 
 import jax
@@ -32,7 +33,11 @@ TRITON = [export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
 TRACED, SAVED = "/jaxmpc/store/traced_sec", "/jaxmpc/store/tracing_saved_sec"
 """Events for `jax.monitoring`: how long tracing took, or had taken where the program is there [s]."""
 
+PATIENCE = 20.0
+"""Longest wait of a thread for another's tracing [s]: beyond it, one of them may wait for what the other holds."""
+
 _folder: Path | None = None
+_turn = RLock()
 
 
 class Kept(NamedTuple):
@@ -116,13 +121,14 @@ def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], 
         header, arrays = unseal(path.read_bytes())
         monitoring.record_event_duration_secs(SAVED, header.get("traced_s", 0.0))
     except (OSError, SealError):
-        began = time.perf_counter()
         try:
-            header, arrays = _traced(function, leaves, tree, static)
+            with _in_turn():
+                began = time.perf_counter()
+                header, arrays = _traced(function, leaves, tree, static)
+                header["traced_s"] = time.perf_counter() - began
         # Of any type: what cannot be exported is then traced in the ordinary way, which says what is wrong if need be.
         except Exception:
             return None
-        header["traced_s"] = time.perf_counter() - began
         monitoring.record_event_duration_secs(TRACED, header["traced_s"])
         # A full disk costs the next run its tracing, nothing more.
         with suppress(OSError):
@@ -165,6 +171,17 @@ def _traced(
     found = [[list(aval.shape), aval.dtype.name] for aval in exported.out_avals]
     module = np.frombuffer(exported.mlir_module_serialized, np.uint8)
     return {"result": results[-1], "leaves": found}, {"module": module}
+
+
+@contextmanager
+def _in_turn() -> Iterator[None]:
+    """Within it, no other thread traces: tracing is Python's, and of two that take turns at it both are done late."""
+    mine = _turn.acquire(timeout=PATIENCE)
+    try:
+        yield
+    finally:
+        if mine:
+            _turn.release()
 
 
 def _described(tree: Any) -> Any:

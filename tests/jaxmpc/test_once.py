@@ -22,3 +22,19 @@ def test_a_quick_program_computes_what_a_plain_one_does() -> None:
 
 def wave(x: jax.Array) -> jax.Array:
     return jax.numpy.sin(x) / x
+
+
+def test_a_program_is_traced_and_then_compiled() -> None:
+    seen: list[int] = []
+
+    def told(x: jax.Array) -> jax.Array:
+        seen.append(len(x))
+        return wave(x)
+
+    x = np.linspace(0.1, 3.0, 5)
+    program = JitOnce(told)
+    compile = program.traced(x)
+    assert seen == [5]
+    compile()
+    np.testing.assert_allclose(program(x), jax.jit(wave)(x), rtol=1e-12)
+    assert seen == [5]

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
+from threading import Event
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -11,9 +13,11 @@ import numpy as np
 import pytest
 
 import tuning.search.optimise
+import tuning.search.run as run
 from jaxmpc import Params, margins
 from jaxmpc.files.errors import InputError
 from tuning import TuneSpec, tune
+from tuning.search.ahead import threads
 from tuning.search.optimise import optimiser, schedule
 from tuning.search.run import run_search
 from tuning.search.state import NAME, SearchState
@@ -50,6 +54,20 @@ def test_a_gradient_that_is_not_finite_moves_only_the_others() -> None:
     np.testing.assert_array_equal(moved[1], 1.0)
     for old, new in zip(jax.tree.leaves(memory), jax.tree.leaves(after), strict=True):
         np.testing.assert_array_equal(new[1], old[1])
+
+
+def test_threads_that_it_is_given_may_go_on_when_a_search_is_over(monkeypatch: pytest.MonkeyPatch, small: Job) -> None:
+    """What compiles there for the proof is not waited for."""
+    found = run.Step("linear", SimpleNamespace(), SimpleNamespace(best=np.ones(1)))  # type: ignore[arg-type]
+    monkeypatch.setattr(run, "problem_of", lambda *_, **__: None)
+    monkeypatch.setattr(run, "proposal", lambda *_: found)
+    going, spec = Event(), TuneSpec.from_dict(small())
+    with threads() as pool:
+        late = pool.submit(going.wait, 10.0)
+        assert run_search(spec, pool=pool).steps == [found]
+        assert not late.done()
+        going.set()
+        assert pool.submit(int).result() == 0
 
 
 @pytest.mark.slow

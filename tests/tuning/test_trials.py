@@ -3,7 +3,9 @@
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, wait
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +16,7 @@ import pytest
 import scipy.stats
 
 from jaxmpc import Experiment, InputError, Params, Status, evaluate
+from jaxmpc.beside import Beside
 from jaxmpc.engine.kernel import Kernel
 from jaxmpc.experiment.reference import Reference
 from jaxmpc.report.content import Table
@@ -254,11 +257,29 @@ def test_what_is_compiled_ahead_is_a_program_for_each_structure(monkeypatch: pyt
     """And not for each controller."""
     compiled: list[int] = []
     monkeypatch.setattr(
-        compute, "compile_ahead", lambda _, __, shared: compiled.append(shared.params.disturbance_order)
+        compute, "traced_ahead", lambda _, __, shared: partial(compiled.append, shared.params.disturbance_order)
     )
     asked = job(Params(K2=1.0), Params(K2=2.0, disturbance_order=2), Params(K2=3.0))
-    compute._compiled(compute._programs(asked, compute.constants_of(asked), 1), ())
+    for compile in compute._traced(compute._programs(asked, compute.constants_of(asked), 1), ()):
+        compile()
     assert sorted(compiled) == [1, 2]
+
+
+def test_the_whole_arm_is_rehearsed_where_a_wave_will_ask_it_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On stress arms, once what the wave runs is traced; of few, operation by operation, nothing is to be compiled."""
+    asked: list[tuple[Params, int]] = []
+    traced: Future[None] = Future()
+    monkeypatch.setattr(compute.whole_arm, "lost", lambda params, met: asked.append((params, len(met))))
+    given = job(Params(K2=1.0), Params(K2=2.0), spread=HARD)
+    with Beside(1) as beside:
+        rehearsing = beside.submit(compute._rehearsed, given, 20_000, traced)
+        assert not wait([rehearsing], timeout=0.05).done
+        traced.set_exception(RuntimeError("it is raised where the wave runs"))
+        assert rehearsing.result() is None
+    assert asked == [(Params(K2=1.0), 1400), (Params(K2=2.0), 1400)]
+    compute._rehearsed(replace(given, spread=NOMINAL), 20_000, traced)
+    compute._rehearsed(given, 2 * BLOCK, traced)
+    assert len(asked) == 2
 
 
 @pytest.mark.slow

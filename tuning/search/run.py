@@ -1,6 +1,8 @@
 """The way to a controller: a descent from many points; for the arm it is one on spectra, and then the arm runs."""
 
 from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -51,7 +53,11 @@ class SearchHistory(NamedTuple):
 
 
 def run_search(
-    spec: TuneSpec, folder: Path | None = None, show: bool = False, after: Callable[[TuneSpec], Tasks] = lambda _: ()
+    spec: TuneSpec,
+    folder: Path | None = None,
+    show: bool = False,
+    after: Callable[[TuneSpec], Tasks] = lambda _: (),
+    pool: Executor | None = None,
 ) -> SearchHistory:
     """Descend from many points; on the arm that is done on spectra, which runs then correct.
 
@@ -60,6 +66,8 @@ def run_search(
         folder: Where the states are kept, from which the same call continues; None keeps none.
         show: Whether to show progress.
         after: What to do of a job on the arm beside its search, such as compiling what comes after that.
+        pool: Threads that do so (`tuning.search.ahead.threads`), and may go on when the search is over; None are its
+            own, for which it waits.
 
     Raises:
         InputError: The fixed gains of a family, which stay, miss a hard goal already; or the folder is of another job.
@@ -69,7 +77,7 @@ def run_search(
         _check_fixed(job, job is not spec)
     if folder is not None:
         check_states(folder, [job.digest for job in jobs])
-    with threads() as pool:
+    with threads() if pool is None else nullcontext(pool) as pool:
         pool.submit(wake)
 
         def described(job: TuneSpec) -> Problem:

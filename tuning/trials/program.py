@@ -73,10 +73,12 @@ def wave_program(
     return partial(_of_blocks, **static)
 
 
-def compile_ahead(program: Callable[[tuple[Met, ...], Shared], Any], met: tuple[Met, ...], shared: Shared) -> None:
-    """Compile a GPU's `wave_program` for blocks like these."""
+def traced_ahead(
+    program: Callable[[tuple[Met, ...], Shared], Any], met: tuple[Met, ...], shared: Shared
+) -> Callable[[], None]:
+    """Trace a GPU's `wave_program` for blocks like these; what is returned compiles it."""
     assert isinstance(program, partial)
-    _of_blocks.compile(met, shared, **program.keywords)
+    return _of_blocks.traced(met, shared, **program.keywords)
 
 
 class Scene(NamedTuple):
