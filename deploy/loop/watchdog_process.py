@@ -11,6 +11,8 @@ the two is closed (the controller is gone, however it died).
 Pucks that idle ignore torques and brake through their windings; they hold nothing up. Having acted, it says so in
 the same page before it sends: whatever the controller still is, its next cycle sees `fired` and stops. It acts
 once in its life: starting again takes a new watchdog, and a person.
+
+No signal that asks the controller to end ends this process, only the pipe: the way out of the tissue is watched, too.
 """
 
 import argparse
@@ -26,6 +28,7 @@ from typing import Any
 
 from deploy.loop.beats import BeatPage
 from deploy.loop.realtime import WATCHDOG_PRIORITY, prepare
+from deploy.loop.signals import ENDING
 
 IDLE_FRAMES = (
     (0x404, bytes((0x88, 0, 0, 0, 0, 0))),
@@ -131,7 +134,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--timeout-ms", type=float, required=True)
     add_bus_arguments(parser)
     args = parser.parse_args(argv)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in ENDING:  # a service that is stopped, say, tells all its processes: the controller still withdraws
+        signal.signal(number, signal.SIG_IGN)
     logging.disable(logging.WARNING)  # some interfaces warn of every frame that comes in two parts
     for name in ("page", "pipe", "timeout_ms"):
         setattr(args, f"_{name}", vars(args).pop(name))  # the rest is the bus

@@ -16,6 +16,7 @@ from can.cli import add_bus_arguments
 
 from deploy.loop import watchdog_process
 from deploy.loop.beats import BeatPage
+from deploy.loop.signals import ENDING
 from deploy.loop.watchdog import Watchdog, WatchdogError, bus_flags
 from deploy.loop.watchdog_process import IDLE_FRAMES, SOCKET, overdue
 from deploy.puck.codec import GROUPS, SAFETY_MODULE, decode
@@ -223,6 +224,21 @@ while time.monotonic() < end:
 """
 
 
+def test_what_asks_the_controller_to_end_does_not_end_its_watchdog(server):
+    """A terminal, or a service that is stopped, may say so to every process of the run: it still has to withdraw."""
+    with Watchdog(server.flags, timeout_ms=500.0) as watchdog:
+        assert os.getsid(watchdog._process.pid) != os.getsid(0)
+        for number in ENDING:
+            os.kill(watchdog._process.pid, number)
+        time.sleep(0.05)
+        asked = time.monotonic_ns()
+        time.sleep(0.05)
+        assert watchdog._process.poll() is None
+        assert watchdog._page.alive > asked
+    assert watchdog._process.returncode == 0
+    assert server.frames == []
+
+
 def test_no_time_is_read_half_written():
     descriptor = BeatPage.create()
     page = BeatPage(descriptor)
@@ -280,12 +296,13 @@ def test_the_timeout_of_the_command_line_is_in_milliseconds(monkeypatch):
     monkeypatch.setattr(watchdog_process, "watch", lambda page, pipe, timeout_ns, *bus: watched.append(timeout_ns))
     monkeypatch.setattr(watchdog_process, "prepare", lambda priority: None)
     page, ours, theirs = BeatPage.create(), *os.pipe()
-    ignored = signal.getsignal(signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in ENDING}
     try:
         flags = ["--page", f"{page}", "--pipe", f"{ours}", "--timeout-ms", "7.5"]
         assert watchdog_process.main([*flags, "--interface", "virtual", "--channel", "of-a-watchdog"]) == 0
     finally:
-        signal.signal(signal.SIGINT, ignored)
+        for number, handler in before.items():
+            signal.signal(number, handler)
         logging.disable(logging.NOTSET)
         for descriptor in (page, ours, theirs):
             os.close(descriptor)
