@@ -122,7 +122,7 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     if not args.lockstep:
         session.unmoved()
     auto = args.lockstep or args.start == "auto"
-    keys = not auto and args.reference != "-"
+    keys = _keys(args)
     if not auto:
         print("Enter lets the approach begin" if keys else "the approach begins once the arm is active")
     console = Console()
@@ -215,6 +215,13 @@ def _guarded(signals: Any) -> str:
     if gain[lowest] > 0.99:
         return f"guard: at rest {stretch}, the gain stayed whole"
     return f"guard: lowest gain {stretch} {gain[lowest]:.2f} at {time[lowest]:.1f} s, {gain[-1]:.2f} at the end"
+
+
+def _keys(args: argparse.Namespace) -> bool:
+    """Whether Enter is heard: where nobody need type it, at a terminal alone, for lines of a script are no hand."""
+    if args.lockstep or args.reference == "-":
+        return False
+    return args.start != "auto" or (sys.stdin is not None and sys.stdin.isatty())
 
 
 def _armed(given: str | None, digest: str) -> bool:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import TextIO
 
 from deploy.loop.cycle import CycleResult, OperatorCommand
@@ -21,7 +22,7 @@ _HELD_DOWN = 0.2
 _SAID = {
     OperatingState.ARMED: "armed: press Shift-activate on the pendant",
     OperatingState.APPROACH: "approach: going down until the tissue is met",
-    OperatingState.CONTACT: "contact: the controller is in charge; Enter or Ctrl-C ends it, a second Ctrl-C lets go",
+    OperatingState.CONTACT: "contact: the controller is in charge; {ends} ends it, a second Ctrl-C lets go",
     OperatingState.RETRACT: "retract",
     OperatingState.STOPPED: "stopped: held, then let go",
     OperatingState.FAULT: "FAULT",
@@ -84,7 +85,7 @@ class Operator:
             keys: Whether Enter on standard input lets it begin, and then ends it.
         """
         self._console, self._signals, self._contact_time, self._duration = console, signals, contact_time, duration
-        self._start, self._stop = start, False
+        self._start, self._stop, self._ends = start, False, "Enter or Ctrl-C" if keys else "Ctrl-C"
         self._shown: tuple[OperatingState, Reason] | None = None
         self._tasks: set[Task] = set()
         self._state = OperatingState.IDLE
@@ -110,7 +111,7 @@ class Operator:
         # Positions that come and go change the task many times a second: each is news once.
         if result.task not in self._tasks:
             self._tasks.add(result.task)
-            self._console.say(_line(result))
+            self._console.say(_line(result, self._ends))
         return self.command
 
     def _listen(self) -> None:
@@ -121,6 +122,7 @@ class Operator:
             elif self._state not in (OperatingState.IDLE, OperatingState.ARMED):
                 self._stop = True
             time.sleep(_HELD_DOWN)
+            _forget_typed()
         self._console.say("standard input has ended: Enter is not heard any more, Ctrl-C ends the run")
 
 
@@ -140,14 +142,15 @@ def _lines() -> Iterator[str]:
 
 
 def _forget_typed() -> None:
-    """An Enter that was typed before it meant anything must not let the approach begin."""
-    if sys.stdin is not None and sys.stdin.isatty():
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+    """An Enter that was typed before it meant anything, or by a key that is held down, must neither begin nor end."""
+    with suppress(OSError, ValueError, termios.error):  # the terminal is gone
+        if sys.stdin is not None and sys.stdin.isatty():
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
-def _line(result: CycleResult) -> str:
+def _line(result: CycleResult, ends: str) -> str:
     now = result.safety_state
-    text = _SAID.get(now.state, str(now.state))
+    text = _SAID.get(now.state, str(now.state)).format(ends=ends)
     if now.reason is not Reason.NONE:
         text += f" ({now.reason}{': ' + now.detail if now.detail else ''}): {EXPLANATION[now.reason]}"
     if now.state is OperatingState.FAULT:

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from deploy.cli.run import _armed
+from deploy.cli.run import _armed, _keys
 from deploy.loop import operator as operator_module
 from deploy.loop.cycle import OperatorCommand
 from deploy.loop.operator import Operator
@@ -47,6 +47,57 @@ def test_enter_begins_the_approach_and_later_ends_whatever_moves(state, monkeypa
     operator._listen()
     ends = Reason.NONE if state in BEFORE else Reason.OPERATOR
     assert operator.command == OperatorCommand(True, state in BEFORE, ends, False)
+
+
+@pytest.mark.parametrize("keys", [True, False])
+def test_only_where_enter_is_heard_it_is_said_to_end_the_contact(keys, monkeypatch):
+    said = []
+    monkeypatch.setattr(operator_module.sys, "stdin", None)
+    operator = Operator(SimpleNamespace(say=said.append), SimpleNamespace(count=0), lambda: 0.0, 10.0, True, keys)
+    operator.each(SimpleNamespace(safety_state=SafetyState(OperatingState.CONTACT), task=Task.CONTROL))
+    (line,) = (each for each in said if each.startswith("contact"))
+    assert ("Enter" in line) == keys
+    assert "Ctrl-C ends it" in line
+
+
+@pytest.mark.parametrize(
+    ("typed", "heard"),
+    [
+        ({}, True),
+        ({"start": "auto"}, True),  # nobody need type it, and who sits there ends the run by it all the same
+        ({"reference": "-"}, False),
+        ({"start": "auto", "reference": "-"}, False),
+        ({"lockstep": True}, False),
+        ({"start": "auto", "terminal": False}, False),  # lines of a script are no hand
+        ({"terminal": False}, True),
+    ],
+)
+def test_enter_is_heard_where_a_hand_may_be(typed, heard, monkeypatch):
+    said = {"start": "enter", "reference": "0,0,-5", "lockstep": False, "terminal": True} | typed
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: said["terminal"]))
+    assert _keys(SimpleNamespace(**said)) == heard
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_key_that_is_held_down_begins_and_does_not_end_at_once(held, monkeypatch):
+    master, slave = os.openpty()
+    try:
+        with os.fdopen(slave) as terminal:
+            monkeypatch.setattr(operator_module.sys, "stdin", terminal)
+            if not held:
+                monkeypatch.setattr(operator_module, "_HELD_DOWN", 0.0)
+            operator = made(start=False, keys=True)
+            os.write(master, b"\n")
+            begun(operator)
+            operator.each(SimpleNamespace(safety_state=SafetyState(OperatingState.APPROACH), task=Task.APPROACH))
+            if not held:
+                time.sleep(0.05)
+            os.write(master, b"\n")
+            time.sleep(0.05 if not held else operator_module._HELD_DOWN + 0.1)
+            assert operator.command.finish == (Reason.NONE if held else Reason.OPERATOR)
+            listened_out(master)
+    finally:
+        os.close(master)
 
 
 def test_a_task_that_comes_and_goes_is_told_once():
