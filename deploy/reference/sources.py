@@ -99,7 +99,7 @@ class Lines:
         return [*notes, "reference: its stream has ended, the last force was held"] if self._ended else notes
 
     def _work(self) -> None:
-        left = b""
+        left, too_long = b"", False
         while True:
             try:
                 chunk = os.read(self._descriptor, 4096)
@@ -108,9 +108,13 @@ class Lines:
             if not chunk:
                 break
             *whole, left = (left + chunk).split(b"\n")
-            if len(left) > _LONGEST_LINE:
+            if too_long and whole:
+                del whole[0]  # the end of a line that was refused before
+                too_long = False
+            if not too_long and len(left) > _LONGEST_LINE:
                 self._refuse(left)
-                left = left[:1] + b"?" * _LONGEST_LINE  # whatever ends this line, it stays refused
+                too_long = True
+            left = b"" if too_long else left
             for line in whole:
                 self._take(line)
             time.sleep(0.001)  # a stream that never pauses must not keep the loop from running
@@ -118,15 +122,15 @@ class Lines:
         self._ended = True
 
     def _take(self, line: bytes) -> None:
-        words = line.replace(b",", b" ").split()
-        if not words:
+        if not line.split():
             return
+        words = line.split(b",") if b"," in line else line.split()  # no cell of a row may be missing
         try:
             x, y, z = map(float, words)
         except ValueError:
             return self._refuse(line)
-        # NaN is not below anything
-        if len(line) > _LONGEST_LINE or not math.hypot(x, y, z) <= self._largest:
+        # NaN is not below anything; to Python 1_0 is ten.
+        if len(line) > _LONGEST_LINE or b"_" in line or not math.hypot(x, y, z) <= self._largest:
             return self._refuse(line)
         self._force = (x, y, z)
         self.lines += 1

@@ -52,6 +52,12 @@ def test_a_constant_is_reached_at_its_rate_and_kept():
     assert forces[2501:] == [(3.0, 0.0, -4.0)] * 499
 
 
+def test_what_is_wanted_beyond_the_largest_force_becomes_that_force():
+    """It goes there straight, and rests: a swaying source alone would not come so far."""
+    forces = run(Stream(ConstantForce((0.0, 12.0, -16.0)), T_S, rate=100.0, largest=6.0), 1000)
+    assert forces[-1] == pytest.approx((0.0, 3.6, -4.8), abs=1e-12)
+
+
 def test_missed_samples_are_followed_no_faster_than_three_at_once():
     stream = Stream(ConstantForce((0.0, 0.0, -5.0)), T_S, rate=2.0)
     stream.at(0.0)
@@ -247,6 +253,7 @@ def test_a_file(tmp_path, text):
         ("t,x,y,z\n0,0,0,0\n0,0,0,-1\n", 3, "above 0 s"),
         ("t,x,y,z\n0,0,0,0\n9,0,0,-12\n", 3, "at most 10 N"),
         ("t,x,y,z\n0,0,0,0\n1,0,0,-6\n", 3, "at most 5 N/s"),
+        ("t,x,y,z\n10,0,0,0\n11,0,0,-6\n", 3, "at most 5 N/s"),
         (b"t,x,y,z\n0,0,0,\xff\n", None, "UTF-8"),
     ],
 )
@@ -309,7 +316,19 @@ def test_lines_the_last_valid_one_counts_and_the_end_holds(pipe):
 
 @pytest.mark.parametrize(
     "line",
-    [b"0 0", b"0 0 0 0", b"a b c", b"nan 0 0", b"0 0 -inf", b"0 0 -10.1", b"\xff\xfe 0 0", b"0 0 -0." + b"0" * 300],
+    [
+        *(
+            b"0 0",
+            b"0 0 0 0",
+            b"a b c",
+            b"nan 0 0",
+            b"0 0 -inf",
+            b"0 0 -10.1",
+            b"\xff\xfe 0 0",
+            b"0 0 -0." + b"0" * 300,
+        ),
+        *(b"0,0,,-3", b"0,,-3", b"0,0,-3,", b"1_0 0 0", b"0 0 -1\r0 0 -3"),
+    ],
 )
 def test_malformed_lines_are_counted_said_and_change_nothing(pipe, line):
     pipe.say(line + b"\n0 0 -2\n")
@@ -322,9 +341,10 @@ def test_malformed_lines_are_counted_said_and_change_nothing(pipe, line):
 def test_an_endless_line_keeps_no_memory(pipe):
     for _ in range(50):
         pipe.say(b"1" * 4096)
-    pipe.say(b"\n0 0 -2\n")
+    pipe.until(lambda: pipe.lines.refused)  # whoever ends his lines otherwise is told, too
+    pipe.say(b" 0 0 0\n0 0 -2\n")
     pipe.until(lambda: pipe.lines.lines == 1)
-    assert pipe.lines.refused > 1
+    assert pipe.lines.refused == 1
     assert pipe.lines.wanted(0.0) == (0.0, 0.0, -2.0)
 
 
