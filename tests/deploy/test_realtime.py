@@ -1,6 +1,7 @@
 import ctypes
 import gc
 import os
+import resource
 import sys
 import time
 
@@ -109,6 +110,21 @@ def test_refusals_name_the_permission_and_the_file(monkeypatch):
     assert "Cannot allocate memory" in text["memory"].sentence
     assert "OMP_NUM_THREADS=1" in text["linear algebra"].sentence
     assert text["garbage collector"].ok
+
+
+@pytest.mark.parametrize(
+    ("limit", "user", "later"),
+    [(resource.RLIM_INFINITY, 1000, True), (1 << 26, 0, True), (1 << 26, 1000, False), (0, 1000, False)],
+)
+def test_later_pages_are_locked_too_where_they_may_be_and_nowhere_else(monkeypatch, limit, user, later):
+    """Locked ahead under a limit, memory that is asked for beyond it would be refused."""
+    called = []
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (limit, limit))
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    monkeypatch.setattr(realtime, "_libc", lambda *call: called.append(call) or "")
+    granted = realtime.lock_memory(lambda *_: None)
+    assert called == [("mlockall", 3 if later else 1)]
+    assert ("later pages are not" in granted.sentence) != later
 
 
 def test_one_thread_of_linear_algebra_is_noticed(monkeypatch):
