@@ -92,7 +92,7 @@ def _fly(args: argparse.Namespace, artifact: "Artifact", digest: str, stack: Exi
     if args.lockstep:
         clock, made = _twin(args)
         bus, watchdog = Bus(made, clock.now), None
-        changes = {"turns": False, "hook": clock.twin.force_hook}
+        changes = {"turns": False, "hook": clock.twin.force_hook, "lowpass_hz": None}
     else:
         # Who watches the loop does not wait for its processor.
         others = frozenset(os.sched_getaffinity(0) - {args.cpu}) if args.cpu is not None else frozenset()

@@ -10,6 +10,7 @@ from jaxmpc.files.errors import InputError
 
 if TYPE_CHECKING:
     from deploy.controller.artifact import Artifact
+    from deploy.force.sensor import ForceSensor
     from deploy.loop.options import Options
 
 HASH = 8
@@ -147,8 +148,7 @@ def options(args: argparse.Namespace, artifact: "Artifact") -> "Options":
     Raises:
         InputError: The reference is malformed, or asks for more than the limits allow.
     """
-    from deploy.force.can_sensor import CanSensor
-    from deploy.force.jr3 import Jr3, open_comedi
+    from deploy.force import can_sensor, jr3
     from deploy.loop.control import Contacting
     from deploy.loop.options import Options
     from deploy.loop.session import largest_wanted
@@ -164,11 +164,17 @@ def options(args: argparse.Namespace, artifact: "Artifact") -> "Options":
         retract_distance=1e-3 * args.retract,
     )
     kind, _, device = args.sensor.partition(":")
+    sensor: ForceSensor
+    if kind == "can":
+        sensor = can_sensor.CanSensor(T_s=artifact.T_s)
+    else:
+        sensor = jr3.Jr3(jr3.open_comedi(device or "/dev/comedi0"))
     return Options(
         from_text(args.reference, rate=args.rate, largest=largest_wanted(artifact)),
         rate=args.rate,
         contacting=contacting,
-        sensor=CanSensor(T_s=artifact.T_s) if kind == "can" else Jr3(open_comedi(device or "/dev/comedi0")),
+        sensor=sensor,
+        lowpass_hz=can_sensor.LOWPASS_HZ if kind == "can" else jr3.LOWPASS_HZ,
         mount=_mount(args.mount),
         turns=args.sensor_frame == "tool",
         tare=not args.no_tare,

@@ -11,6 +11,8 @@ from jaxmpc.law.vectors import Vector3
 
 FORCE_ID: Final = GROUPS["force"] | SENSOR << 5
 MOMENT_ID: Final = GROUPS["moment"] | SENSOR << 5
+LOWPASS_HZ: Final = 227.0
+"""Its own low-pass, of firmware 24 [Hz]."""
 DOUBT: Final = 0.02
 """Time after a missing answer in which it may still come [s]."""
 

@@ -13,6 +13,8 @@ from deploy.puck.frame import Frame
 CHANNELS: Final = 58
 ZERO: Final = 0x4000
 FULL_SCALE_COUNTS: Final = 16384
+LOWPASS_HZ: Final = 500.0
+"""Low-pass of its filter 1 [Hz]."""
 PER_RANGE: Final = 1000.0
 """The driver gives full scales in kN and kN m: its forces × 1000 and moments × 100 (of 0.1 N m) are micro-units."""
 LIBRARIES: Final = ("libcomedi.so.0", "libcomedi.so")

@@ -20,6 +20,7 @@ class Options:
         rate: Largest rate of the wanted force [N/s].
         contacting: How the tissue is met and left.
         sensor: Of the force.
+        lowpass_hz: Of that sensor [Hz]; None is not known, as a twin's.
         mount: Rotation from the sensor's axes to the tool's, or to the world's if it does not turn.
         turns: Whether the sensor turns with the tool.
         tare: Whether it is tared at the start.
@@ -34,6 +35,7 @@ class Options:
     rate: float = 5.0
     contacting: Contacting = field(default_factory=Contacting)
     sensor: ForceSensor = field(default_factory=CanSensor)
+    lowpass_hz: float | None = None
     mount: Matrix = IDENTITY
     turns: bool = True
     tare: bool = True

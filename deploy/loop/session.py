@@ -81,8 +81,9 @@ class Session:
         sensor = Mounted(options.sensor, options.mount)
         self.arm = startup(bus, clock, sensor, home=options.home, report=report, T_s=artifact.T_s)
         limits, less = within_caps(model.limits, self.arm.pucks.caps)
-        if less:
-            report(less)
+        for said in (less, other_lowpass(artifact, options.lowpass_hz)):
+            if said:
+                report(said)
         if where := displaced(self.arm.pucks.angles(self.arm.counts), model.posture):
             raise CalibrationError(f"{where}: carry the arm there by hand, idle, then start again")
         if options.tare:
@@ -192,6 +193,21 @@ class Session:
         bus += f", {arm.bus.count_dropped()} dropped unread"
         lost = f"positions: {arm.late} late, {arm.duplicates} twice, {arm.doubtful} doubtful, {arm.jumps} jumps"
         return [bus, lost, f"largest push in contact and on the way out: {self.cycle.pushes}", *self.controller.notes()]
+
+
+def other_lowpass(artifact: Artifact, sensor_hz: float | None) -> str:
+    """What is to be said where the sensor's low-pass is not the one that the margins hold with; empty if it is.
+
+    Args:
+        artifact: Of the controller.
+        sensor_hz: Low-pass of the sensor [Hz]; None is not known.
+    """
+    judged = artifact.loop.sensor_cutoff / (2.0 * math.pi)
+    if sensor_hz is None or abs(judged - sensor_hz) <= 0.02 * sensor_hz:
+        return ""
+    held = f"a low-pass of {judged:g} Hz in the force sensor" if judged else "no low-pass in the force sensor"
+    remedy = f"freeze it with sensor.lowpass_hz = {sensor_hz:g} in its experiment, and see what margins are left"
+    return f"OTHER MARGINS: those of this controller hold with {held}, and this kind has {sensor_hz:g} Hz: {remedy}"
 
 
 def largest_wanted(artifact: Artifact) -> float:

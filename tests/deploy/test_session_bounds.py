@@ -1,14 +1,18 @@
 """What a session asks of the tare, of the wanted force and of the way down: bounds that follow from the controller."""
 
+import math
+from argparse import ArgumentParser
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
+from deploy.cli.run_arguments import configure, options
 from deploy.errors import CalibrationError
+from deploy.force import jr3
 from deploy.force.sensor import IDENTITY, Mounted, Wrench
 from deploy.loop.control import Contacting
-from deploy.loop.session import CHECKED, HEART, STILL, TARING, _tare, deepest, largest_wanted
+from deploy.loop.session import CHECKED, HEART, STILL, TARING, _tare, deepest, largest_wanted, other_lowpass
 from tests.deploy.made import T_S, margin_row
 
 
@@ -85,3 +89,31 @@ def test_the_way_down_is_that_of_the_softest_promised_tissue_and_a_heart(arm_art
     rows = [margin_row(810.0), margin_row(375.0), margin_row(1900.0)]
     assert deepest(replace(arm_artifact, margins=rows)) == pytest.approx(15.0 / 375.0 + HEART)
     assert HEART == 0.025  # docs/robot.md
+
+
+@pytest.mark.parametrize(
+    ("judged", "sensor", "said"),
+    [
+        (500.0, 500.0, ""),
+        (500.0, None, ""),
+        (227.0, 227.0, ""),
+        (500.0, 227.0, "with a low-pass of 500 Hz in the force sensor, and this kind has 227 Hz"),
+        (227.0, 500.0, "with a low-pass of 227 Hz in the force sensor, and this kind has 500 Hz"),
+        (0.0, 227.0, "with no low-pass in the force sensor, and this kind has 227 Hz"),
+    ],
+)
+def test_a_sensor_with_another_low_pass_than_the_margins_hold_with_is_told(arm_artifact, judged, sensor, said):
+    loop = arm_artifact.loop._replace(sensor_cutoff=2.0 * math.pi * judged)
+    told = other_lowpass(replace(arm_artifact, loop=loop), sensor)
+    assert bool(told) == bool(said)
+    assert said in told
+
+
+def test_barretts_sensor_and_a_jr3_have_low_passes_of_their_own(arm_artifact, monkeypatch):
+    parser = ArgumentParser()
+    configure(parser)
+    monkeypatch.setattr(jr3, "open_comedi", lambda path: path)
+    monkeypatch.setattr(jr3, "Jr3", lambda device: device)
+    for sensor, hz in (("can", 227.0), ("jr3", 500.0), ("jr3:/dev/comedi1", 500.0)):
+        args = parser.parse_args(["controller.npz", "--sensor", sensor, "--reference", "0,0,-5"])
+        assert options(args, arm_artifact).lowpass_hz == hz
