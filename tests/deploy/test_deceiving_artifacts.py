@@ -108,6 +108,14 @@ def test_unsealed_pickle_is_refused_by_its_seal(tmp_path):
         load(path)
 
 
+def test_a_link_that_takes_the_files_place_as_it_is_opened_is_not_followed(data, tmp_path, monkeypatch):
+    (tmp_path / "good.npz").write_bytes(data)
+    (tmp_path / "link").symlink_to("good.npz")
+    monkeypatch.setattr(type(tmp_path), "lstat", lambda path: (tmp_path / "good.npz").stat())
+    with pytest.raises(ArtifactError, match="cannot be read"):
+        load(tmp_path / "link")
+
+
 def test_paths_that_are_no_files(data, tmp_path):
     (tmp_path / "loop").symlink_to("loop")
     (tmp_path / "good.npz").write_bytes(data)

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.controller.recomputed_margins import differences, margins_at
+from deploy.controller.recomputed_margins import _contact, _cut, _margins, differences, margins_at
 from jaxmpc import Experiment, Params, margins
 from jaxmpc.export.freezing import _rows, freeze_controller
 from jaxmpc.quantities import MARGINS
+from tests.deploy import made
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +59,21 @@ def test_on_any_stiffness_they_are_those_of_the_public_function(frozen):
         design, again = margins(Params.published("text"), stiffness), margins_at(artifact, stiffness)
         assert again["spectral_radius"] == pytest.approx(float(design.spectral_radius), rel=1e-6)
         assert again["M_s"] == pytest.approx(float(design.M_s), rel=1e-3)
+
+
+def test_a_second_sample_of_delay_is_a_pure_one():
+    """Where all that acts on the tip is cut, L has another z⁻¹; both cuts count, the worse of them."""
+    artifact = made.arm_artifact()
+    late = replace(artifact, loop=artifact.loop._replace(delay=2))
+    theta = np.geomspace(1e-4, 3.0, 50)
+    one, two = (_cut(each.flown_gains, _contact(each, 810.0), at_a=True).response(theta) for each in (artifact, late))
+    assert two == pytest.approx(one * np.exp(-1j * theta), rel=1e-9)
+    assert margins_at(late, 810.0)["delay_margin_s"] < margins_at(artifact, 810.0)["delay_margin_s"] - 0.5e-3
+    cuts = [_margins(_cut(artifact.flown_gains, _contact(artifact, 810.0), at_a), 1e-3) for at_a in (False, True)]
+    both = margins_at(artifact, 810.0)
+    assert both["M_s"] == max(cut["M_s"] for cut in cuts)
+    assert both["delay_margin_s"] == min(cut["delay_margin_s"] for cut in cuts)
+    assert cuts[0] != cuts[1]
 
 
 def test_a_tissue_alone_is_judged_once():

@@ -13,6 +13,7 @@ import pytest
 
 from deploy.controller.file import load, to_bytes
 from deploy.controller.runtimes import arm_runtime
+from deploy.flight import inputs as inputs_module
 from deploy.flight.forgetting import SETTLING, observers_forget
 from deploy.flight.inputs import KNOWN, inputs_of
 from deploy.flight.recorder import COLUMNS, FlightRecorder, FlightRecording, RecordingError, read
@@ -220,6 +221,16 @@ def test_a_recording_that_begins_in_contact_is_judged_once_a_slow_observer_has_f
     rows = replayed(artifact, fly(artifact, samples=3200, contact=(100, 3200), seconds=3.0), tmp_path)
     assert not any(row.parts for row in rows.values())
     assert (rows["v"].samples > 0) == judged
+
+
+@pytest.mark.parametrize(("gain", "judged_from"), [(1.0, 199), (0.5, 399), (0.0, 199)])
+def test_with_less_gain_observers_take_longer_to_forget(flight, monkeypatch, gain, judged_from):
+    artifact, recording = load(flight / "controller.npz"), read(flight / "flight.npz")
+    monkeypatch.setattr(inputs_module, "observers_forget", lambda artifact: 0.2)
+    signals = {name: each[400:1200] for name, each in recording.signals.items()}
+    signals["gain"] = np.full_like(signals["gain"], gain)  # none at all was recorded by no law
+    inputs = inputs_of(FlightRecording(recording.header, signals), artifact, recording.header["artifact"])
+    assert int(np.argmax(inputs.judged)) == pytest.approx(judged_from, abs=1)
 
 
 @pytest.mark.parametrize("told", [True, False])
