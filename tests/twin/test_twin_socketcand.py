@@ -123,6 +123,19 @@ def test_time_goes_by_as_on_the_clock(serve):
     assert 0.3 < ticks * 1e-3 <= time.monotonic() - began + 0.002
 
 
+def test_time_stands_still_where_it_lags_far_behind_the_clock():
+    """A twin that has been stopped does not run after the clock, at many times its speed."""
+    server = Server(Twin(TwinSettings(motion=motion_named("none"))), None)
+    stalls = iter([0.3])
+    began = time.monotonic()
+    server.run(0.03, lambda twin: time.sleep(next(stalls, 0.0)))
+    took = time.monotonic() - began
+    server.close()
+    assert server.counters["ticks"] == 30
+    assert server.counters["milliseconds given up"] >= 250
+    assert 1e-3 * (30 + server.counters["milliseconds given up"]) <= took + 0.002
+
+
 def test_bus_off_is_an_error_frame_and_then_silence(serve):
     server = serve(faults=("bus:off@0.3",))
     bus = Bus(connect(server))

@@ -261,6 +261,7 @@ def test_a_twin_of_an_experiment_meets_what_the_simulation_meets(tmp_path):
     assert pressed == pytest.approx([-3.0, -6.0, -9.0], rel=1e-3)
     file = str(tmp_path / "e.toml")
     assert unlike_the_simulation(file, None) == []
+    assert twin_settings("table-1-wam").stiffness == 375.0, "the first of three"
     assert unlike_the_simulation("cough", None) == unlike_the_simulation(None, "cough") == []
     (tmp_path / "e.toml").write_text(text.replace("repeat = true", ""))
     (said,) = unlike_the_simulation(file, None)
