@@ -298,3 +298,16 @@ def test_ticks_leave_nothing_behind(runtime, inputs):
     run(100)
     assert [stage["collections"] for stage in gc.get_stats()] == collections
     assert sys.getallocatedblocks() - blocks < 50
+
+
+def test_a_torque_that_was_cut_once_is_not_told_again():
+    """The momentum observer is told what the limits changed of the last sample alone."""
+    artifact = made.arm_artifact(momentum_observer=60.0)
+    runtime, q, force = arm_runtime(artifact), artifact.arm.posture, (0.0, 0.0, -1.0)
+    runtime.start(q)
+    runtime.enter(force, q)
+    wanted = runtime.control(q, runtime.velocity(q), force, force)
+    runtime.applied((wanted[0] - 1.0, *wanted[1:]))
+    assert runtime._change != (0.0,) * 4
+    runtime.applied(runtime.control(q, runtime.velocity(q), force, force))
+    assert runtime._change == (0.0,) * 4

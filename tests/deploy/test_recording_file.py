@@ -231,3 +231,13 @@ except InputError as error:
     assert done.stderr.count("\n") == 1
     assert "File too large" in done.stderr
     assert not (tmp_path / "flights").exists()
+
+
+def test_a_recording_that_somebody_else_has_put_there_meanwhile_is_not_written_over(folder):
+    file = RecordingFile(folder, 1000)
+    file.path.write_bytes(b"another")
+    saved = file.save(b"ours")
+    file.close()
+    assert file.path.read_bytes() == b"another"
+    assert sorted(each.read_bytes() for each in folder.iterdir()) == [b"another", b"ours"]
+    assert saved.ok

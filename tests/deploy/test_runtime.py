@@ -8,6 +8,7 @@ import pytest
 from deploy.controller.artifact import Artifact
 from deploy.controller.golden import replay
 from deploy.controller.runtimes import linear_runtime
+from deploy.runtime.straightline import compile_straightline
 from jaxmpc.law.gains import constant_reference
 
 
@@ -115,3 +116,13 @@ def test_a_step_costs_no_more_than_its_operations(arguments, law, preview):
 def test_replay_sees_a_gain_that_changed_by_a_millionth(arguments, law):
     gains = law.gains._replace(mpc_u=law.gains.mpc_u * (1 + 1e-6))
     assert 1e-9 < replay(make(arguments, gains=gains))[0] < 1e-3
+
+
+@pytest.mark.parametrize("first", [1.0, -1.0])
+@pytest.mark.parametrize("second", [1.0, -1.0])
+def test_signs_that_move_to_a_sum_keep_its_value(first, second):
+    def law(x, y):
+        a, b = first * x, second * y
+        return a - b, a + b, a - 2.0, 2.0 - a, a * b, a / b, a * 3.0
+
+    assert compile_straightline(law, (1.0, 1.0)).function(5.0, 0.75) == law(5.0, 0.75)
