@@ -14,6 +14,7 @@ from deploy.controller.least_rate import CAPPED, IPNM_RANGE, check_rates
 from deploy.controller.limits import REACH
 from jaxmpc.files.errors import InputError
 from jaxmpc.law.gains import Gains, constant_reference
+from jaxmpc.law.momentum_observer import fastest
 
 KINDS = ("linear", "wam")
 """The three cascades alone, which only replay; and all that drives an arm."""
@@ -120,6 +121,10 @@ class Artifact:
             raise InputError("golden_force", f"{felt:.3g} N", f"at most {arm.limits.force:g} N, its limit", remedy)
         # As on the weakest arm that a run takes, so that none refuses it once it is started.
         check_rates(arm.limits, self.T_s, (IPNM_RANGE[0],) * 4, CAPPED)
+        most = fastest(self.T_s, self.loop.delay)
+        if arm.momentum_observer > most * (1.0 + 1e-9):
+            bound = f"at most {most:g} rad/s at T_s = {self.T_s:g} s and a delay of {self.loop.delay}"
+            raise InputError("arm.momentum_observer", arm.momentum_observer, bound, "Lower it or sample faster.")
         softest = min(row["stiffness"] for row in self.margins)
         if arm.limits.force > REACH * softest:
             bound = f"at least {arm.limits.force / REACH:g} N/m, into which the force limit sinks the tip by its reach"

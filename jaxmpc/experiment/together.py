@@ -11,6 +11,7 @@ from jaxmpc.experiment.reference import Reference
 from jaxmpc.experiment.tables import RESOLVED, ArmSettings, SensorSettings, TissueSettings
 from jaxmpc.files.errors import InputError, plain_name
 from jaxmpc.files.toml import without_arrays
+from jaxmpc.law.momentum_observer import fastest
 from jaxmpc.world.cable import fastest_stable
 from jaxmpc.world.heart.motion import Motion
 
@@ -74,6 +75,8 @@ def check_together(experiment: Any) -> None:
         raise InputError("arm.cable_hz", experiment.arm.cable_hz, bound, "Raise arm.substeps.")
     if experiment.physics == "wam" and experiment.arm.cable_hz:
         _check_cable(experiment.arm, experiment.sampling_time)
+    if experiment.physics != "linear":
+        _check_observer(experiment.arm, experiment.sampling_time, experiment.delay)
 
 
 def _check_cable(arm: ArmSettings, T_s: float) -> None:
@@ -83,3 +86,11 @@ def _check_cable(arm: ArmSettings, T_s: float) -> None:
         steps = f"arm.substeps = {arm.substeps} and arm.cable_damping = {arm.cable_damping:g}"
         bound = f"within what steps bear, a cable mode below {below:.4g} Hz with {steps} in this posture"
         raise InputError("arm.cable_hz", arm.cable_hz, bound, "Raise arm.substeps or lower arm.cable_damping.")
+
+
+def _check_observer(arm: ArmSettings, T_s: float, delay: int) -> None:
+    """Refuse an observer that would swing by itself: no margin of the loop knows of it."""
+    most = fastest(T_s, delay)
+    if arm.momentum_observer > most * (1.0 + 1e-9):
+        bound = f"at most {most:g} rad/s at a sampling time of {T_s:g} s and a delay of {delay}"
+        raise InputError("arm.momentum_observer", arm.momentum_observer, bound, "Lower it or sample faster.")

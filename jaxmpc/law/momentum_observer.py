@@ -33,6 +33,9 @@ from jaxmpc.law.scalar import Matrix, Scalar, Vector, add, apply, scale, sub
 
 FASTEST = 100.0
 """Largest bandwidth K [rad/s]: beyond it encoders' counts shake the torques."""
+SAMPLED = 0.5, 0.3
+"""Largest K T_s where torques act after one sample, and after two [-]: from 0.67 and 0.4 on r may swing by itself,
+without end, by the velocity's low-pass; at 0.83 and 0.54 it does behind any."""
 
 
 class MomentumState(NamedTuple):
@@ -48,6 +51,11 @@ class MomentumState(NamedTuple):
     """w of the last sample [N m]. After a clamp, add what it changed."""
     before: Vector
     """w of the one before [N m]."""
+
+
+def fastest(T_s: float, delay: int) -> float:
+    """Largest bandwidth [rad/s] at a sampling time [s], where torques act after 1 or 2 samples."""
+    return min(FASTEST, SAMPLED[delay - 1] / T_s)
 
 
 def init(velocity: Vector) -> MomentumState:

@@ -105,6 +105,13 @@ def test_a_law_that_cannot_be_computed_is_a_refusal(opened):
     refused(opened, "its law cannot be computed: float division by zero", golden_q=straight)
 
 
+def test_an_observer_too_quick_for_the_samples_is_refused():
+    """At 10 ms one of 100 rad/s swings by itself, whatever the margins of the cascades are."""
+    artifact = made.arm_artifact(6, momentum_observer=60.0)
+    with pytest.raises(InputError, match=r"arm\.momentum_observer = 60\.0: must be at most 50 rad/s at T_s = 0\.01 s"):
+        replace(artifact, T_s=0.01)
+
+
 def test_friction_is_cancelled_by_a_model_or_by_an_observer():
     arguments = made.arm_arguments(6, compensated=True)
     with pytest.raises(InputError, match=r"arm\.momentum_observer = 60\.0: must be 0 beside arm\.compensated"):

@@ -15,7 +15,8 @@ from jaxmpc import InputError, Params, design, evaluate
 from jaxmpc.engine.base import scalars
 from jaxmpc.experiment.build import robot_on_its_tissue, structure_of
 from jaxmpc.law import momentum_observer
-from jaxmpc.law.measurement import Measurement, init, measure
+from jaxmpc.law.measurement import Measurement, MeasurementState, init, measure
+from jaxmpc.law.momentum_observer import MomentumState, fastest
 from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, advance, start
 from jaxmpc.world.arm import chain, model
 from jaxmpc.world.joint_acceleration import accelerate
@@ -110,6 +111,44 @@ def test_its_time_constant_is_that_of_its_bandwidth() -> None:
         late = T_S * (1.0 + np.sum(1.0 - share, axis=0))
         # The arm leaves its posture by a hundredth of a degree, and its masses change.
         np.testing.assert_allclose(late, 1.0 / bandwidth, rtol=0, atol=1e-5)
+
+
+def radius_alone(bandwidth: float, T_s: float, cutoff: float, delay: int) -> float:
+    """Largest |eigenvalue| of the observer on a mass of 1 kg m² whose torques act after so many samples [-]."""
+    measurement = Measurement(T_s, float(np.exp(-cutoff * T_s)) if cutoff else 0.0)
+
+    def sample(x: np.ndarray) -> np.ndarray:
+        angle, speed, last, velocity, residual, expected, before, newest, older = x
+        measured = measure(measurement, MeasurementState((last,), (velocity,)), (angle,)).velocity
+        state = MomentumState((residual,), (expected,), (velocity,), (0.0,), (before,))
+        state = momentum_observer.step(bandwidth, measurement, state, ((1.0,),), measured, (0.0,))
+        torque = newest if delay == 1 else older
+        moved = angle + T_s * speed + 0.5 * T_s * T_s * torque, speed + T_s * torque
+        return np.array([*moved, angle, *measured, *state.residual, *state.expected, 0.0, -state.residual[0], newest])
+
+    return float(np.abs(np.linalg.eigvals(np.stack([sample(one) for one in np.eye(9)], axis=1))).max())
+
+
+@pytest.mark.parametrize(("delay", "any_filter"), [(1, 0.83), (2, 0.54)])
+@pytest.mark.parametrize("T_s", [5e-3, 0.02])
+def test_no_bandwidth_that_is_taken_swings_by_itself(T_s: float, delay: int, any_filter: float) -> None:
+    """The free mass has both its poles at 1, which round to some 1e-8 of it."""
+    most = fastest(T_s, delay)
+    assert most == pytest.approx((0.5, 0.3)[delay - 1] / T_s)
+    for cutoff in (0.0, 2.0, 20.0, CUTOFF, 1000.0):
+        assert radius_alone(most, T_s, cutoff, delay) < 1.0 + 1e-6
+        assert radius_alone(1.01 * any_filter / T_s, T_s, cutoff, delay) > 1.001
+
+
+def test_a_bandwidth_too_large_for_the_samples_is_refused() -> None:
+    """At 8 ms, where `margins` told of M_s = 2.74, an observer of 100 rad/s pressed with 234 N (RMS)."""
+    bound = r"arm\.momentum_observer = 100\.0: must be at most {} rad/s at a sampling time of {} s and a delay of {}"
+    for T_s, delay, most in ((0.008, 1, "62.5"), (0.005, 2, "60")):
+        with pytest.raises(InputError, match=bound.format(most, T_s, delay)):
+            changed(TABLE, sampling_time=T_s, delay=delay, arm={"momentum_observer": 100.0})
+    assert changed(TABLE, sampling_time=0.005, arm={"momentum_observer": 100.0}).arm.momentum_observer == 100.0
+    linear = changed(TABLE, physics="linear", sampling_time=0.01, arm={"momentum_observer": 100.0})
+    assert linear.physics == "linear"
 
 
 def test_one_way_to_cancel_friction() -> None:
