@@ -74,6 +74,21 @@ def test_the_stiffness_stays_a_little_beyond_the_outer_knots(decided) -> None:
         assert math.exp(after.log_stiffness) == pytest.approx(outer, rel=1e-12)
 
 
+@pytest.mark.parametrize(("end", "factor"), [("most", 1.0), ("least", -1.0)])
+def test_a_tissue_beyond_what_is_believed_is_held_for_known_within_a_tenth(
+    decided, constants, end: str, factor: float
+) -> None:
+    """K̂ stays 25 % in the logarithm beyond an outer knot, and the schedule has control of tissue a tenth farther."""
+    bound = getattr(constants, end)
+    places = Params.published("family").listening.stiffness
+    assert math.exp(bound) == pytest.approx(places[-1 if factor > 0.0 else 0] * math.exp(0.25 * factor))
+    for miss, rising in ((0.09, 2.0 - 20.0 * 0.09), (0.11, 0.0)):
+        heard = math.exp(bound) * (1.0 + factor * miss) / STIFFNESS - 1.0
+        after, change = decided(heard, log_stiffness=bound, authority=0.5, listening=1.0)
+        assert after.log_stiffness == bound
+        assert change("authority") == pytest.approx(2.0 * T_s * rising, rel=1e-9, abs=1e-12)
+
+
 @pytest.mark.parametrize(("heard", "sure"), SURE)
 @pytest.mark.parametrize(("miss", "arrived"), [(0.05, 1.0), (-0.075, 0.5), (0.075, 0.5), (0.1, 0.0)])
 def test_authority_rises_where_what_is_believed_is_what_is_heard(decided, heard, sure, miss, arrived) -> None:

@@ -217,9 +217,9 @@ def test_doubt_under_one_axis_takes_the_authority_from_all(gains: Gains) -> None
     axis = cascade.init(gains, 0.0)
     assert axis.tissue is not None
     sure = axis._replace(tissue=axis.tissue._replace(authority=1.0))
-    doubtful = axis._replace(tissue=axis.tissue._replace(doubt=2.0))
+    doubtful = axis._replace(tissue=axis.tissue._replace(doubt=2.0, strain=0.3))
     alarm = schedule.alarm((sure, doubtful, sure), ops)
-    assert alarm == (2.0, 0.0, sure.tissue.wave)
+    assert alarm == (2.0, 0.3, sure.tissue.wave)
     after, _, _ = schedule.listen(gains, sure, 0.0, 0.0, 0.0, 0.0, alarm, ops)
     assert after.tissue is not None
     assert after.tissue.authority < 0.9
