@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmpc import Experiment, Params, design
+from jaxmpc import Experiment, Params, Status, design
+from jaxmpc.stability import Margins, worst_of
 from jaxmpc.stability.crossings import search_angles
 from jaxmpc.stability.family import family_margins, held, judged_where
 from jaxmpc.stability.held_beat import HeldBeat, spread_rates
@@ -123,3 +124,26 @@ def test_a_rate_that_is_told_counts_and_no_other() -> None:
     at = np.array([375.0]), np.array([0.94]), PATH
     slow = family_margins(FAMILY, *at, lambda one: one.finder.least[None])
     assert slow.gain_reduction_db > family_margins(FAMILY, *at).gain_reduction_db + 0.3
+
+
+def test_the_worst_over_rates_is_that_of_each_margin() -> None:
+    """The first learns nothing and tells the radius, unless a loop that learns is unstable; what is no number stays."""
+    stable = Margins(
+        M_s=jnp.array([1.8, 1.9, 1.7]),
+        gain_margin_db=jnp.array([7.0, 6.0, 8.0]),
+        gain_reduction_db=jnp.array([jnp.inf, 5.0, 4.0]),
+        phase_margin_deg=jnp.array([33.0, 31.0, 32.0]),
+        delay_margin_s=jnp.array([3e-3, 2e-3, 4e-3]),
+        spectral_radius=jnp.array([0.98, 0.9999, 0.99]),
+        status=jnp.array([Status.OK] * 3),
+    )
+    assert worst_of(stable) == (1.9, 6.0, 4.0, 31.0, 2e-3, 0.98, Status.OK)
+    lost = stable._replace(
+        M_s=jnp.array([1.8, jnp.inf, 1.7]),
+        gain_margin_db=jnp.array([7.0, jnp.nan, 8.0]),
+        spectral_radius=jnp.array([0.98, 1.01, 0.99]),
+        status=jnp.array([Status.OK, Status.UNSTABLE, Status.OK]),
+    )
+    found = worst_of(lost)
+    assert (found.M_s, found.spectral_radius, found.status) == (np.inf, 1.01, Status.UNSTABLE)
+    assert np.isnan(found.gain_margin_db)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxmpc import Params, design
+from jaxmpc import Params, design, margins
 from jaxmpc.cli import main
 from jaxmpc.experiment import Experiment
 from jaxmpc.files.errors import InputError
@@ -221,6 +221,12 @@ def test_a_controller_that_is_unstable_has_no_residual(on_arm: Spectrum) -> None
     yours = left_by(Params(Khat_s=200.0), on_arm, loop_path(), 1900.0, "x")
     assert np.isnan(yours.rms)
     assert yours.M_s == np.inf
+
+
+def test_a_controller_is_held_to_its_sensitivity_in_the_whole_band(on_arm: Spectrum) -> None:
+    within = margins(Params(), 1900.0 * np.array([0.92, 1.0, 1.08])).M_s
+    assert left_by(Params(), on_arm, loop_path(), 1900.0, "x", 0.08).M_s == pytest.approx(float(np.max(within)))
+    assert np.max(within) > 1.05 * within[1]
 
 
 @pytest.mark.parametrize(
