@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from jaxmpc import Experiment, Params, design, evaluate, margins
+from jaxmpc import Experiment, Params, design, evaluate, margins, synthesis
 from jaxmpc.engine.base import scalars
 from jaxmpc.files.errors import InputError
 from jaxmpc.law import cascade, identification, schedule
@@ -127,6 +127,13 @@ def test_the_published_family_keeps_its_margins_between_its_knots() -> None:
     assert np.min(found.gain_reduction_db) >= 4.0
     assert np.min(found.phase_margin_deg) >= 30.0
     assert np.min(found.delay_margin_s) >= 1.5e-3
+
+
+def test_a_family_misses_its_riccati_equations_by_the_worst_of_its_knots(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = design(FAMILY.knots[0])
+    monkeypatch.setattr(synthesis, "design_one", lambda knot, *_: (one, knot.Q_p))
+    _, missed = synthesis.design_family(FAMILY, 1e-3)
+    assert float(missed) == max(float(knot.Q_p) for knot in FAMILY.knots)
 
 
 def test_a_gradient_goes_through_design_and_schedule() -> None:
