@@ -4,10 +4,12 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxmpc import Params, Timing, design, margins
+from jaxmpc.stability.crossings import loop_margins
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.world.loop_path import loop_path
@@ -135,3 +137,16 @@ def test_a_resonance_far_outside_the_unit_circle_hides_no_gain_margin() -> None:
     found = margins(params, K_s, path=path)
     assert float(found.gain_margin_db) == pytest.approx(decibels[decibels > 0.0].min(), rel=2e-3)
     assert float(found.gain_reduction_db) == pytest.approx(-decibels[decibels < 0.0].max(), rel=2e-3)
+
+
+@pytest.mark.parametrize("gain", [0.5, 0.9])
+def test_a_loop_that_meets_the_real_axis_at_the_nyquist_frequency_alone(gain: float) -> None:
+    """A gain behind a sample of delay, L = g q: 1 + L is least, and −L largest, at q = −1."""
+
+    def loop(theta: Any, late: Any = 0.0) -> Any:
+        return gain * jnp.exp(-1j * theta * (1.0 + (0.0 if late is None else late)))
+
+    found = jax.jit(lambda: loop_margins(loop, loop, T_S))()
+    assert float(found.M_s) == pytest.approx(1.0 / (1.0 - gain), rel=1e-9)
+    assert float(found.gain_margin_db) == pytest.approx(-20.0 * np.log10(gain), rel=1e-9)
+    assert np.isinf([found.gain_reduction_db, found.phase_margin_deg, found.delay_margin_s]).all()
