@@ -1,6 +1,7 @@
 """The points of a sweep: row number → an entry for every axis, the same whatever else is computed."""
 
 import math
+from collections.abc import Mapping
 from functools import reduce
 from typing import Any, Literal
 
@@ -89,11 +90,11 @@ class SweepSpace(msgspec.Struct, frozen=True):
         """Row numbers that are computed, ascending: those with H_u ≤ H_p, and only the wanted ones."""
         rows = np.arange(self.count) if self.only is None else np.array(self.only, np.int64)
         if self.kind != "random" and {axis.name for axis in self.axes} & set(HORIZONS):
-            rows = rows[~self._crossed(self.columns(rows))]
+            rows = rows[~self.crossed(self.columns(rows))]
         return rows
 
-    def _crossed(self, columns: dict[str, np.ndarray]) -> Any:
-        """Where H_u exceeds H_p."""
+    def crossed(self, columns: Mapping[str, np.ndarray]) -> Any:
+        """Where H_u exceeds H_p: (rows,), or of all rows alike a single value where neither is swept."""
         fixed = dict(zip(HORIZONS, self.horizons, strict=True))
         return columns.get("Hu", fixed["Hu"]) > columns.get("Hp", fixed["Hp"])
 
@@ -104,7 +105,7 @@ class SweepSpace(msgspec.Struct, frozen=True):
             return self._entries(uniforms("sobol", self.count, len(self.factors), self.seed))
         found = self._entries(uniforms("random", self.count, len(self.factors), self.seed))
         for attempt in range(1, _TRIES):
-            wrong = np.broadcast_to(self._crossed(found), self.count)
+            wrong = np.broadcast_to(self.crossed(found), self.count)
             if not wrong.any():
                 break
             stream = np.random.Philox(self.seed).jumped(attempt)
@@ -149,6 +150,6 @@ def make_space(
     space = SweepSpace(kind, ordered, count, seed, horizons)
     if kind != "random" and count <= 1_000_000 and not len(space.rows()):
         raise InputError("Hu", "above Hp in every row", "at most Hp somewhere", "Lower Hu or raise Hp.")
-    if kind == "random" and set(names) & set(HORIZONS) and np.any(space._crossed(space._sample())):
+    if kind == "random" and set(names) & set(HORIZONS) and np.any(space.crossed(space._sample())):
         raise InputError("Hu", "hardly ever at most Hp", "so more often", "Lower Hu or raise Hp.")
     return space

@@ -41,7 +41,7 @@ def around(
     """New rows around the front of a result, none of which is there already.
 
     Each is a member of the front whose numbers are moved, in the scale of their axes and within their ranges; lists,
-    choices and what is zipped with them stay as they are.
+    choices and what is zipped with them stay as they are, and so do both horizons where H_u would exceed H_p.
 
     Args:
         result: All rows so far.
@@ -65,14 +65,11 @@ def around(
         for movable in [all(axis.ranged for axis in factor)]
         for axis in factor
     }
-    space = result.plan.space
-    if {"Hp", "Hu"} <= set(columns):
-        columns["Hu"] = np.minimum(columns["Hu"], columns["Hp"])
-    else:
-        limit = dict(zip(HORIZONS, space.horizons, strict=True))
-        for name in set(HORIZONS) & set(columns):
-            bounded = np.minimum if name == "Hu" else np.maximum
-            columns[name] = bounded(columns[name], limit["Hp" if name == "Hu" else "Hu"])
+    # H_p and H_u may have been moved past each other.
+    crossed = result.plan.space.crossed(columns)
+    for factor in factors:
+        if any(axis.name in HORIZONS for axis in factor):
+            columns |= {axis.name: np.where(crossed, base[axis.name][parents], columns[axis.name]) for axis in factor}
     table = np.stack([columns[axis.name] for axis in result.axes], axis=1)
     there = {tuple(row) for row in np.stack([result[axis.name] for axis in result.axes], axis=1).tolist()}
     new = [row for row in dict.fromkeys(map(tuple, table.tolist())) if row not in there]

@@ -23,7 +23,7 @@ from sweeps.plan import make_plan
 from sweeps.refine.proposal import around
 from sweeps.refine.run import ENTRY_BYTES, check
 from sweeps.refine.run import run as refine
-from sweeps.result import merged
+from sweeps.result import Result, merged
 from sweeps.run import run
 from sweeps.show.report import sweep_report
 from sweeps.space import SweepSpace
@@ -101,6 +101,41 @@ def test_zipped_numbers_stay_together_around_a_front(tmp_path: Path) -> None:
     np.testing.assert_allclose((K2 - 10.0) / 30.0, np.log(lam / 0.01) / np.log(100.0), atol=1e-12)
     # A list has nothing between its values, nor has what is zipped with it.
     assert set(T_cl) <= set(full["T_cl"])
+
+
+@pytest.mark.parametrize(
+    "horizons",
+    [
+        {"axes": {"Hp": {"linear": [3, 40]}, "Hu": [3, 10]}},
+        {"axes": {"Hp": {"linear": [3, 40]}, "Hu": {"linear": [10, 15]}}},
+        {"axes": {"Hp": [5, 12], "Hu": {"linear": [4, 15]}}},
+        {"axes": {"Hu": {"linear": [4, 16]}}, "params": {"Hp": 8, "Hu": 4}},
+        {"zip": [{"Hp": {"linear": [3, 40]}, "K2": {"linear": [3, 40]}}], "axes": {"Hu": {"linear": [10, 15]}}},
+    ],
+)
+def test_horizons_around_a_front_stay_in_their_lists_ranges_and_zips(horizons: dict[str, Any]) -> None:
+    """Where Hp moved below Hu, Hu took its value: 5, 8 and 9 of a list of 3 and 10."""
+    given = {"lam": {"log": [0.01, 1.0]}, **horizons["axes"]}
+    sweep = {"kind": "random", "rows": 60, "seed": 1, "axes": given, "zip": horizons.get("zip", [])}
+    params = {"published": "cautious", **horizons.get("params", {})}
+    plan = make_plan(SweepSpec.from_dict({**DATA, "sweep": sweep, "params": params}))
+    count = len(plan.rows)
+    columns = {name: np.zeros((count, *column.shape), column.dtype) for name, column in plan.layout.items()}
+    columns |= {"row": plan.rows, **plan.space.columns(plan.rows)}
+    # All of them span the front.
+    columns["rms"] += np.arange(count)[:, None, None]
+    columns["M_s"] += 2.0 - np.arange(count)[:, None] / count
+    found = Result.of(plan, columns, np.ones(count, bool))
+    space = around(found, plan.space.factors, ("rms", "M_s"), 400, 1, 1)
+    assert space.count > 300
+    assert len(space.rows()) == space.count, "Hu above Hp"
+    moved = {axis.name: np.array(axis.values) for axis in space.axes}
+    for axis in plan.space.axes:
+        assert moved[axis.name].min() >= min(axis.values)
+        assert moved[axis.name].max() <= max(axis.values)
+        assert axis.ranged or set(moved[axis.name]) <= set(axis.values)
+    if "zip" in horizons:
+        np.testing.assert_allclose(np.round(moved["K2"]), moved["Hp"], atol=1.0)
 
 
 @pytest.mark.oracle
