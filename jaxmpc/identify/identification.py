@@ -82,7 +82,8 @@ def read_recording(path: str | Path) -> MotionRecording:
     """A recording from CSV (columns named in its first line) or npz, with columns t, q1…q4, tau1…tau4.
 
     Raises:
-        InputError: The file is unreadable, lacks a column, or holds something that is no finite number.
+        InputError: The file is unreadable, lacks a column or has it twice, has a row of another length, or holds
+            something that is no finite number.
     """
     path = Path(path)
     if path.suffix == ".npz":
@@ -103,6 +104,9 @@ def _check_columns(path: Path, names: list[str]) -> None:
     if missing := [name for name in COLUMNS if name not in names]:
         remedy = f"Add {', '.join(missing)}; units: t [s], q1…q4 [rad], tau1…tau4 [N m]."
         raise InputError("columns", ", ".join(names) or "none", ", ".join(COLUMNS), remedy, path, 1)
+    if twice := [name for name in COLUMNS if names.count(name) > 1]:
+        bound = f"{', '.join(COLUMNS)}, once each"
+        raise InputError("columns", ", ".join(names), bound, f"Remove or rename the other {twice[0]}.", path, 1)
 
 
 def _read_csv(path: Path) -> tuple[np.ndarray, list[int]]:
@@ -115,10 +119,12 @@ def _read_csv(path: Path) -> tuple[np.ndarray, list[int]]:
             continue
         try:
             cells = [float(cell) for cell in text.split(",")]
-            rows.append([cells[i] for i in chosen])
-        except (ValueError, IndexError):
+        except ValueError:
+            cells = []
+        if len(cells) != len(names):
             remedy = "Correct or remove this row."
-            raise InputError("row", text.strip(), f"{len(names)} numbers", remedy, path, line) from None
+            raise InputError("row", text.strip(), f"{len(names)} numbers", remedy, path, line)
+        rows.append([cells[i] for i in chosen])
         lines.append(line)
     return np.array(rows).reshape(-1, len(COLUMNS)), lines
 

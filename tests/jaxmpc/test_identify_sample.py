@@ -1,5 +1,6 @@
 """The sample recording: it comes with the program, is what the twin makes, and tells of the twin's friction."""
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -78,6 +79,27 @@ def test_a_torque_of_the_other_sign_in_one_joint_is_told(joint: int) -> None:
     told = rf"^{name} = explained to R² = -[12]\.\d\d: must be at least 0\.5\. Does a positive {name} turn J{joint + 1}"
     with pytest.raises(InputError, match=told):
         identify(recording._replace(tau=tau))
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (lambda head, *rows: [head, *(f"7,{row}" for row in rows)], r"csv:2: row = 7,0\.000,.*: must be 9 numbers"),
+        (lambda head, *rows: [head, *(row.replace(".", ",") for row in rows)], r"csv:2: row = 0,000,.*must be 9 num"),
+        (
+            lambda head, *rows: [f"{head},q2", *(f"{row},1" for row in rows)],
+            r"csv:1: columns = .*: must be .* once each",
+        ),
+    ],
+)
+def test_a_file_that_is_not_what_its_head_says_is_told(
+    changed: Callable[..., list[str]], told: str, tmp_path: Path
+) -> None:
+    """Of a row with more numbers than names each column was read as another, of two `q2` the second was ignored."""
+    path = tmp_path / "motion.csv"
+    path.write_text("\n".join(changed(*(EXAMPLES / f"{SAMPLE}.csv").read_text().splitlines()[:40])))
+    with pytest.raises(InputError, match=told):
+        identify(read_recording(path))
 
 
 @pytest.mark.parametrize("cutoff", [0.05, 0.2, 0.5])
