@@ -125,7 +125,8 @@ def make_axis(
         repeats: Whether a list may hold a number twice, since others advance with it.
 
     Raises:
-        InputError: A value is not finite or out of bounds, a range is empty or a list repeats itself.
+        InputError: A value is not finite or out of bounds, a range is empty or of multiples of what is counted, or a
+            list repeats itself.
     """
     key = f"sweep.axes.{name}"
     target(name)
@@ -137,6 +138,9 @@ def make_axis(
         if not (repeats and scale == "list") and len(set(map(identity, values))) != len(values):
             raise InputError(key, list(values), "free of repetition", "Each row of a sweep exists once.")
         return SweepAxis(name, scale, values, relative, labels)
+    if relative and whole(name):
+        remedy = "Its multiples may be no whole numbers: list them, as values = [0.5, 2.0]."
+        raise InputError(f"{key}.relative", True, "left out of a range of what is counted", remedy)
     _check_numbers(name, scale, values, relative)
     first, last = values
     if not first < last:

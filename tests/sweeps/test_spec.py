@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -205,6 +206,16 @@ def test_what_is_counted_is_multiplied_to_whole_numbers(name: str) -> None:
     axes = {name: {"values": [1, 1.3], "relative": True}}
     with pytest.raises(InputError, match=f"sweep.axes.{name} = 1.3: must be "):
         SweepSpec.from_dict({**data, "sweep": {"kind": "grid", "axes": axes}})
+
+
+@pytest.mark.parametrize("kind", [{"kind": "grid"}, {"kind": "random", "rows": 20}])
+@pytest.mark.parametrize("name", ["arm.encoder_counts", "disturbance_order"])
+def test_a_range_of_multiples_of_what_is_counted_is_refused(name: str, kind: dict[str, Any]) -> None:
+    """The multiples themselves were rounded: of 0.5 to 2 the encoders had 0, 1 and 2 times their counts, 0 is ideal."""
+    axis = {"linear": [0.5, 2.0], "relative": True} | ({"points": 4} if kind["kind"] == "grid" else {})
+    data = {"experiment": {"published": "table-1-wam"}, "sweep": {**kind, "axes": {name: axis}}}
+    with pytest.raises(InputError, match=rf"^sweep\.axes\.{name}\.relative = .* left out of a range .* values"):
+        SweepSpec.from_dict(data)
 
 
 def test_what_is_counted_is_drawn_in_whole_numbers() -> None:
