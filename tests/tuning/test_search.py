@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -17,7 +18,7 @@ from tuning.proof.result import assess
 from tuning.proof.sensitivities import sensitivities, vector_of
 from tuning.search.corrected import values_and_slopes
 from tuning.search.front import handed_on, table
-from tuning.search.run import SAME, proposed, run_search
+from tuning.search.run import SAME, Step, proposed, run_search
 from tuning.search.state import NAME, SearchState, check_states, load, save
 
 Job = Callable[..., dict[str, Any]]
@@ -49,6 +50,29 @@ def test_what_runs_first_is_the_best_that_differs(spec: TuneSpec) -> None:
     state.closest = np.array([0.9, 0.9, 1.5, 0.9, 0.9])
     chosen = proposed(spec, state, 5)
     np.testing.assert_allclose(chosen, [spec.space.encode(spec.params), z[1], z[4], z[0], z[2]])
+
+
+@pytest.mark.parametrize(
+    ("found", "closest", "wins"),
+    [([np.inf, np.inf], [1.5, 1.1], 2), ([0.8, 0.9], [1.0, 0.7], 1), ([np.inf, 0.9], [1.1, 1.0], 2)],
+)
+def test_of_several_orders_the_one_goes_on_that_came_closest_where_none_holds_its_goals(
+    found: list[float], closest: list[float], wins: int, spec: TuneSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first one did, and a goal was told to be missed by the point that came closest."""
+
+    def made(job: TuneSpec, *_: Any) -> Step:
+        which = int(job.params.disturbance_order) - 1
+        state = state_of([found[which]], np.zeros((1, job.space.size)), np.ones((1, 1)))
+        state.closest = np.array([closest[which]])
+        return Step("linear", None, state)  # type: ignore[arg-type]  # of which nothing is asked
+
+    monkeypatch.setattr("tuning.search.run.problem_of", lambda *_, **__: None)
+    monkeypatch.setattr("tuning.search.run.proposal", made)
+    several = msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, orders=(1, 2)))
+    history = run_search(several)
+    assert history.spec.params.disturbance_order == wins
+    assert history.orders == dict(zip((1, 2), found, strict=True))
 
 
 def test_points_of_a_front_take_over_what_fits_their_limits() -> None:

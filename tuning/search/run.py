@@ -94,7 +94,9 @@ def run_search(
             int(job.params.disturbance_order): float(one.state.best.min())
             for job, one in zip(jobs, firsts, strict=True)
         }
-        best = int(np.argmin(list(orders.values())))
+        # Where none holds the hard goals, the one that came closest.
+        reached = [(one.state.best.min(), one.state.closest.min()) for one in firsts]
+        best = reached.index(min(reached))
         job, steps = jobs[best], [firsts[best]]
         if job.on_arm:
             runs, spectra = (ahead or readied(job, problems[best], pool, after)).result()
