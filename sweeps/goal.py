@@ -51,8 +51,8 @@ class SweepGoal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Quantities that it needs."""
-        return (self.best, *self.constraints)
+        """Quantities that it needs, each once."""
+        return tuple(dict.fromkeys((self.best, *self.constraints)))
 
     def limited(self, changes: Mapping[str, Any]) -> "SweepGoal":
         """The same with some limits changed."""

@@ -55,7 +55,7 @@ def row_sheet(result: Result) -> str:
 def sensitivity_table(result: Result) -> str:
     """How much each axis matters, for what ranks and for what is limited."""
     lines = [["", *(text for name in result.goal.names for text in (f"{name}: share", "rank corr."))]]
-    found = {name: sensitivity(result, name) for name in dict.fromkeys(result.goal.names)}
+    found = {name: sensitivity(result, name) for name in result.goal.names}
     for axis in result.axes:
         cells = [found[name][axis.name] for name in result.goal.names]
         texts = [text for cell in cells for text in (f"{100 * cell.share:.1f} %", _correlation(cell.correlation))]

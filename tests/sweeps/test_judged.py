@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxmpc.status import Status
+from sweeps.goal import SweepGoal
 from sweeps.judged import keeps, worst
 
 NAN, INF = np.nan, np.inf
@@ -38,3 +39,8 @@ def test_a_metric_counts_where_every_tissue_is_ok_and_a_margin_anywhere(name: st
     values = np.full((3, 2, 3) if name == "rms" else (3, 2), 1.5)
     expected = [1.5, INF, INF] if name == "rms" else [1.5, 1.5, 1.5]
     assert worst({"status": statuses, name: values}, name).tolist() == expected
+
+
+def test_what_ranks_and_is_limited_is_needed_once() -> None:
+    """`sweep sensitivity` had a column of it twice."""
+    assert SweepGoal("gain_margin_db", {"M_s": 2.0, "gain_margin_db": 6.0}).names == ("gain_margin_db", "M_s")

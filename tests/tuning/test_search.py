@@ -120,6 +120,13 @@ def test_a_state_of_the_largest_search_is_read_again(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load(tmp_path, "key", state).path, state.path)
 
 
+def test_a_front_of_no_limits_is_refused_before_anything_is_tuned(spec: TuneSpec, tmp_path: Path) -> None:
+    """It ended in a ValueError of its figure, behind the whole search."""
+    with pytest.raises(InputError, match=r"^pareto = empty: must be .* limits"):
+        pareto(spec, tmp_path / "out", z=spec.space.encode(spec.params))
+    assert not (tmp_path / "out").exists()
+
+
 @in_float64
 def test_orders_ask_for_a_q_p_of_their_own(spec: TuneSpec) -> None:
     second = spec.with_order(2)

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc import described
+from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import digest, write_atomic
 from jaxmpc.metrics import Metrics
 from jaxmpc.pictures.figures import figure
@@ -68,8 +69,10 @@ def pareto(
         z: Where every point starts, (size,); None tunes the job first.
 
     Raises:
-        InputError: The folder holds the state of another job.
+        InputError: The job has no such limits, or the folder holds the state of another job.
     """
+    if not spec.pareto:
+        raise InputError("pareto", "empty", "a table of limits", "Give some, such as M_s = [1.6, 2.0, 3.0].")
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
