@@ -83,7 +83,7 @@ def entries(found: Comparison) -> Iterator[Entry]:
     for name, metric in METRICS.items():
         values = np.stack([np.asarray(getattr(one.metrics, name)) for one in found.outcomes])
         drawn = found.held(name)
-        if not np.isfinite(values).any() or not (np.nan_to_num(values) != 0.0).any():
+        if not any(np.nan_to_num(each).any() for each in (values, drawn) if each is not None):
             continue
         for i, tissue in enumerate(tissues):
             if name in PER_AXIS:

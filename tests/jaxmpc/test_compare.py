@@ -246,6 +246,27 @@ def test_the_table_has_everything_and_the_differences() -> None:
     assert M_s[2:] == ["1.00", "2.00", "+1.00"]
 
 
+@pytest.mark.parametrize(
+    ("own", "on_drawn", "rows"), [(0.0, 0.01, 2), (np.nan, 0.01, 2), (0.0, 0.0, 0), (0.01, 0.0, 2)]
+)
+def test_what_happens_on_drawn_motions_alone_has_its_rows(own: float, on_drawn: float, rows: int) -> None:
+    """Whose samples were clamped there, and not on the experiment itself, had none, and no difference."""
+    random = np.random.default_rng(1)
+    (first, motions), (second, others) = made_up(0.1, random), made_up(0.2, random)
+    experiment = msgspec.structs.replace(Experiment.published("table-1"), stiffness=(375.0, 810.0))
+    contenders = [Contender(name, Params(), "made up") for name in "AB"]
+    drawn = Metrics(*(np.stack(pair) for pair in zip(motions, others, strict=True)))
+    drawn = drawn._replace(clamped=np.stack([0.0 * motions.clamped, np.full_like(others.clamped, on_drawn)]))
+    outcomes = [
+        one._replace(metrics=one.metrics._replace(clamped=np.full((2, 3), value)))
+        for one, value in ((first, min(own, 0.0)), (second, own))
+    ]
+    found = table(Comparison(experiment, contenders, outcomes, drawn, [None, None]))
+    clamped = [row for row in found.rows if row[0] == METRICS["clamped"].heading]
+    assert len(clamped) == rows
+    assert all("+" in row[-1] for row in clamped if on_drawn)
+
+
 def test_who_is_lost_on_a_drawn_motion_is_told() -> None:
     random = np.random.default_rng(1)
     (first, motions), (second, others) = made_up(0.1, random), made_up(0.2, random)
