@@ -69,8 +69,14 @@ def test_freezing_is_asked_with_the_margins_of_the_job(small: Job) -> None:
 
 @pytest.mark.parametrize(
     ("efforts", "chosen"),
-    [((0.9, 0.8, 0.7), 2), ((0.9, 0.8, 1.001), 1), ((np.nan, 1.2, 1.1), 2), ((1.3, 0.9, np.nan), 1)],
-    ids=["all hold", "the best misses", "closest", "one alone"],
+    [
+        ((0.9, 0.8, 0.7), 2),
+        ((0.7, 0.8, 0.9), 2),
+        ((0.9, 0.8, 1.001), 1),
+        ((np.nan, 1.2, 1.1), 2),
+        ((1.3, 0.9, np.nan), 1),
+    ],
+    ids=["all hold", "the best by less", "the best misses", "closest", "one alone"],
 )
 def test_who_misses_a_hard_goal_in_validation_comes_after_who_holds_all(
     small: Job, monkeypatch: pytest.MonkeyPatch, efforts: tuple[float, ...], chosen: int

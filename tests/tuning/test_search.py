@@ -47,7 +47,7 @@ def test_what_runs_first_is_the_best_that_differs(spec: TuneSpec) -> None:
     z = np.random.default_rng(0).standard_normal((5, spec.space.size))
     z[3] = z[1] + 0.1 * SAME
     state = state_of([3.0, 1.0, np.inf, 1.1, 2.0], z, np.ones((5, 1)))
-    state.closest = np.array([0.9, 0.9, 1.5, 0.9, 0.9])
+    state.closest = np.array([0.7, 0.9, 1.5, 0.8, 0.95])
     chosen = proposed(spec, state, 5)
     np.testing.assert_allclose(chosen, [spec.space.encode(spec.params), z[1], z[4], z[0], z[2]])
 

@@ -75,6 +75,14 @@ def test_a_goal_that_the_proof_judges_missed_is_not_met(result: TuneResult) -> N
     assert not seen.met
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("tissue", range(3))
+def test_who_leaves_2_n_on_one_axis_of_one_tissue_has_not_held(result: TuneResult, tissue: int, axis: int) -> None:
+    assert result.held[1].all()
+    result.heldout.peak_error[1, 2, tissue, axis] = 2.0
+    assert result.held[1].tolist() == [True, True, False, True]
+
+
 def test_a_study_without_limits_says_so_first(result: TuneResult) -> None:
     arm = msgspec.structs.replace(result.spec.experiment, name="study", physics="wam")
     study = replace(result, spec=msgspec.structs.replace(result.spec, experiment=arm.without_limits()))
