@@ -10,9 +10,11 @@ import pytest
 
 from jaxmpc import Params
 from jaxmpc.files.errors import InputError
+from jaxmpc.loop.linear import HIGHEST_FORCE
+from jaxmpc.metrics import Metrics
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec, pareto
-from tuning.objective.loss import value_alone
+from tuning.objective.loss import Values, value_alone
 from tuning.objective.problem import over_starts, problem_of, training
 from tuning.proof.result import assess
 from tuning.proof.sensitivities import sensitivities, vector_of
@@ -83,6 +85,27 @@ def test_points_of_a_front_take_over_what_fits_their_limits() -> None:
     hard = np.stack([reached[:, 0] / asked[:, 0], asked[:, 1] / reached[:, 1]], axis=1)
     state = state_of([0.9, 0.7, 0.8], z, hard)
     np.testing.assert_array_equal(handed_on(state, asked, np.array([False, True])).ravel(), [1.0, 1.0, 2.0])
+
+
+def test_a_start_that_left_1_kn_holds_nothing_whatever_its_goals_say() -> None:
+    """Of three starts at the same goals one left 1 kN on one axis of one scenario."""
+    state = SearchState.new(np.zeros((3, 1)), (), 1, (1, 1))
+    cells = Metrics(*(np.full((3, 2, 2, 3), 0.1) for _ in Metrics._fields))
+    cells.peak_error[1, 1, 0, 2] = HIGHEST_FORCE
+    one = np.ones(3)
+    seen = Values(one, one, 0.5 * one, one, 0 * one, np.ones((3, 2)), 0.9 * np.ones((3, 1)), np.ones((3, 1)), cells)
+    state.record(seen, True, 1e-4)
+    assert state.best.tolist() == [0.5, np.inf, 0.5]
+    assert state.closest.tolist() == [0.9, np.inf, 0.9]
+
+
+def test_patience_begins_with_polishing() -> None:
+    """Whole horizons have that many iterations, however long ago soft ones gained."""
+    state = state_of([1.0], np.zeros((1, 1)), np.ones((1, 1)))
+    state.iteration, state.gained = 100, 10
+    assert [state.stalled(30, since) for since in (0, 69, 70, 90)] == [True, True, False, False]
+    state.best = np.array([np.inf])
+    assert not state.stalled(30, 0)
 
 
 @pytest.mark.parametrize("name", ["state.npz", "state-spectra.npz", "state-order-2.npz"])
