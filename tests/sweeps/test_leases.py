@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -137,6 +138,19 @@ def failing(at: int, fetched: bool) -> Any:
         return begin(plan, first, last)
 
     return wrong
+
+
+@pytest.mark.parametrize(("part", "begin"), [((1, 3), 0), ((2, 3), 40), ((3, 3), 80), ((1, 1), 0)])
+def test_a_part_begins_where_its_rows_do(part: tuple[int, int], begin: int, leases: Make, tmp_path: Path) -> None:
+    plan: Any = SimpleNamespace(bounds=np.array([120]))
+    share = Share(tmp_path, plan, np.zeros(120, bool), leases(), part)
+    assert share.next(30) == (begin, begin + 30)
+
+
+def test_a_stretch_ends_with_a_world_if_it_holds_the_end_of_one(leases: Make, tmp_path: Path) -> None:
+    plan: Any = SimpleNamespace(bounds=np.array([25, 30, 75, 120]))
+    share = Share(tmp_path, plan, np.zeros(120, bool), leases(), (1, 1))
+    assert [share.next(40) for _ in range(4)] == [(0, 30), (30, 70), (70, 75), (75, 115)]
 
 
 def test_two_processes_may_put_one_damaged_chunk_away(

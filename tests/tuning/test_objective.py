@@ -11,6 +11,8 @@ import pytest
 
 from jaxmpc import margins
 from jaxmpc.files.errors import InputError
+from jaxmpc.loop.linear import HIGHEST_FORCE
+from jaxmpc.metrics import Metrics
 from jaxmpc.quantities import METRICS
 from jaxmpc.xla.precision import in_float64
 from jaxmpc.xla.shared import kind_of
@@ -18,7 +20,7 @@ from tuning import TuneSpec
 from tuning.job.goals import margin_goals
 from tuning.objective.loss import HEADROOM, PENALTY, Values, loss_of, visible_goals, visible_soft
 from tuning.objective.measures import measure
-from tuning.objective.problem import Problem, problem_of, training
+from tuning.objective.problem import Problem, _held, problem_of, training
 from tuning.search.optimise import optimiser
 
 UNLIMITED = {"joint_torque_limit": [0.0] * 4, "torque_step_limit": [0.0] * 4}
@@ -259,3 +261,14 @@ def test_goals_keep_their_names_through_the_compiled_program(small: Job) -> None
     found = margins(spec.params, spec.judged_at)
     expected = np.asarray(margin_goals(found, spec.margin_goals).normalised).max(axis=1)
     np.testing.assert_allclose(seen, expected, rtol=0.02)
+
+
+def test_a_baseline_that_is_lost_on_one_axis_is_lost_in_that_run(spec: TuneSpec) -> None:
+    """Whatever lasts there is better, on its other axes too, which left no newton."""
+    cells = Metrics(*(np.full((3, 2, 3), 0.1) for _ in Metrics._fields))
+    cells.peak_error[1, 0, 2] = HIGHEST_FORCE
+    cells.peak_error[2, 1, 0] = np.nan
+    known = np.isfinite(np.asarray(_held(spec, cells).rms))
+    lost = np.zeros((3, 2, 3), bool)
+    lost[1, 0], lost[2, 1] = True, True
+    np.testing.assert_array_equal(known, ~lost)
