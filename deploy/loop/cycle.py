@@ -7,7 +7,7 @@ machine takes it, and the cycle ends with the frame of the task that is then all
 """
 
 from collections.abc import Callable
-from math import dist, inf, isfinite
+from math import dist, hypot, inf, isfinite
 from typing import NamedTuple
 
 from deploy.controller.limits import Limits
@@ -25,6 +25,7 @@ from deploy.safety.overshoot import Pushes, pushed
 from deploy.safety.plausible import EncoderState, ForceState, beyond_stop, encoder_step, force_step
 from deploy.safety.posture import displaced
 from deploy.safety.reasons import Reason
+from deploy.safety.unmoved import unmoved
 from deploy.wam.arm import WamArm
 from deploy.wam.encoder_bridge import EncoderBridge
 from deploy.wam.reading import Reading
@@ -123,6 +124,7 @@ class Cycle:
         self._bridge = EncoderBridge(arm.counts)
         self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
         self._encoders, self._force_state = EncoderState(), ForceState()
+        self._task, self._unmoved = Task.OFF, -1
         self._saturated: int | None = None  # flags of gauges stay set: those of the first reading are of the past
         self.watch = ForceWatch(controller, estimate, deepest, T_s)
         self._age, self._hazards, self.pushes = [0] * 4, Hazards(arm, T_s), Pushes()
@@ -153,6 +155,7 @@ class Cycle:
         lying = self.watch.judge(self.safety_state.state, sample, driven, timing.missed > 0)
         if doubt is Reason.NONE:
             doubt = lying
+        self._unmoved = self._pushed_in_vain(force)
         hazard, detail = self._hazards.judge(reading, timing, min(self._age))
         if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._hazards.lately):
             danger = Reason.LATE
@@ -209,13 +212,14 @@ class Cycle:
                 )
         if task is Task.CONTROL:
             self.controller.runtime.applied(applied)
+        self._task = task
         return CycleResult(frame, self.safety_state, task, acted, q, qd, kinematics, force, wanted, applied)
 
     def _positions(self, reading: Reading, missed: int) -> tuple[Reason, int, int]:
         """Take positions; the reason to distrust them, the age of the oldest [cycles], and its motor (0–3)."""
         counts = reading.counts
         self._encoders, reason, culprit = encoder_step(
-            self._encoders, counts, self._counts_per_turn, self._T_s * (1 + missed)
+            self._encoders, counts, self._counts_per_turn, self._T_s * (1 + missed), self._unmoved
         )
         if reason is not None:
             counts = tuple(None if i == culprit else each for i, each in enumerate(counts))
@@ -233,6 +237,17 @@ class Cycle:
                 return Reason.ENCODER_RANGE, age, joint
             self._q = q
         return reason or Reason.NONE, age, oldest
+
+    def _pushed_in_vain(self, force: Vector3 | None) -> int:
+        """The motor (0–3) that stands still though the servo of a retraction, or after it, pushes it; −1 for none.
+
+        An arm that is held so far may be leant on, and in contact joints stand still for friction.
+        """
+        now = self.safety_state
+        if self._task not in (Task.RETRACT, Task.HOLD) or now.state is OperatingState.ARMED:
+            return -1
+        push = None if force is None or now.reason is Reason.FORCE_MODEL else hypot(*force)
+        return unmoved(self._encoders.still, self.watch.disturbance, push, now.cycles, self._T_s)
 
     def _force(self, reading: Reading, kinematics: TipKinematics) -> tuple[Vector3 | None, Reason]:
         """Force on the tissue in the world's axes [N], and the reason to distrust it."""

@@ -46,6 +46,11 @@ class ForceWatch:
         self._controller, self._estimate, self._deepest, self._T_s = controller, estimate, deepest, T_s
         self.balance, self._runaway, self._late = BalanceState(), 0, 0
 
+    @property
+    def disturbance(self) -> Vector4:
+        """All that disturbs the joints, by their motion [N m]; 0 where the motors tell nothing."""
+        return (0.0, 0.0, 0.0, 0.0) if self._estimate is None else self._estimate.disturbance
+
     def judge(self, state: OperatingState, sample: ForceSample, driven: bool, missed: bool) -> Reason:
         """Reason not to believe the sensor, NONE if there is none.
 

@@ -50,6 +50,12 @@ class ForceEstimate:
         """Go on after samples were left out, at joint velocities [rad/s]: what was known of the force is kept."""
         self._state = tuple(MomentumState(*self._state)._replace(velocity=qd))
 
+    @property
+    def disturbance(self) -> Vector4:
+        """r, all that disturbs the joints [N m]."""
+        found: Vector4 = MomentumState(*self._state).residual
+        return found
+
     def step(self, q: Vector4, qd: Vector4, torque: Vector4) -> Vector3:
         """Force on the tissue [N].
 

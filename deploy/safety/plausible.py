@@ -4,7 +4,8 @@ Faults are named as PX4 names them. What each can see, and what it cannot:
 
     off, intermittent   3 samples missing in a row
     garbage             not finite, beyond the sensor, or a jump
-    stuck               12 equal samples of all three axes, or an encoder that stops dead at speed
+    stuck               12 equal samples of all three axes, or an encoder that stops dead at speed, or while a servo
+                        pushes its motor on the way out (`deploy.safety.unmoved`)
     slow                too many samples that repeat the one before
     wrong, sign flip    when it sets in: a jump of the force, or an innovation of the observer; an encoder's as a jump.
                         A scale or bias that was there from the start looks like another tissue: it is *not* seen
@@ -146,7 +147,7 @@ class EncoderState(NamedTuple):
 
 
 def encoder_step(
-    state: EncoderState, counts: Sequence[int | None], counts_per_turn: Sequence[int], T_s: float
+    state: EncoderState, counts: Sequence[int | None], counts_per_turn: Sequence[int], T_s: float, unmoved: int = -1
 ) -> tuple[EncoderState, Reason | None, int]:
     """Take a sample of the motor encoders.
 
@@ -155,6 +156,7 @@ def encoder_step(
         counts: Counts of motors 1–4; None where none came.
         counts_per_turn: Of each, CTS as the pucks say.
         T_s: Time since the last step [s].
+        unmoved: A motor (0–3) that is pushed and stands still: it is not believed until it tells a motion; −1 for none.
 
     Returns:
         The next state, why the sample must not be used or None, and the motor that it is about (0–3; −1 for none).
@@ -176,6 +178,8 @@ def encoder_step(
                 stills[i] = 0
                 speeds[i] += SETTLING * (speed - speeds[i])
             if stills[i] >= STUCK - 1:
+                if i == unmoved:
+                    speeds[i] = MOTOR_SPEED  # as if it had stopped dead: so it is found, now and as long as it stands
                 if abs(speeds[i]) > STUCK_SPEED:
                     found, culprit = Reason.ENCODER_STUCK, i
                 else:

@@ -99,7 +99,7 @@ EXPLANATION: Mapping[Reason, str] = {
     Reason.WORKSPACE: "The tip left its box.",
     Reason.SINGULARITY: "The arm came too near to a pose in which its tip cannot move in every direction.",
     Reason.ENCODER_JUMP: "An encoder moved farther in a cycle than a motor can.",
-    Reason.ENCODER_STUCK: "An encoder stood still at once while its motor was moving.",
+    Reason.ENCODER_STUCK: "An encoder stood still while its motor moved or was pushed: it sticks, or the arm is held.",
     Reason.ENCODER_RANGE: "An encoder reads an angle beyond the joint's mechanical stop.",
     Reason.TARE: "The force sensor told a contact before the approach: its zero is off, or something touches the tool.",
     Reason.FORCE: "The force on the tissue was above its limit.",

@@ -252,6 +252,20 @@ def test_encoder_stuck_while_turning(plausible):
     assert set(spin(plausible, rows + [rows[-1]] * 30 + on * 30)) == {NOTHING}
 
 
+def test_one_that_is_pushed_and_stands_still_is_not_believed_until_it_moves(plausible):
+    state = plausible.EncoderState()
+    pushed = [-1] * 20 + [2] + [-1] * 9
+    for k, unmoved in enumerate(pushed):
+        state, reason, motor = plausible.encoder_step(state, (0, 0, 7, 0), CTS, T_S, unmoved)
+        assert (reason, motor) == ((Reason.ENCODER_STUCK, 2) if k >= 20 else NOTHING)
+    assert plausible.encoder_step(state, (0, 0, 8, 0), CTS, T_S)[1:] == NOTHING
+    # one that moved a moment ago is, whatever is said of it
+    state = plausible.EncoderState()
+    for _ in range(11):
+        state, reason, motor = plausible.encoder_step(state, (0, 0, 7, 0), CTS, T_S, 2)
+        assert (reason, motor) == NOTHING
+
+
 def test_encoder_bounds_themselves(plausible):
     # a whole turn in 2π/v seconds is v rad/s exactly
     turn = 2.0 * math.pi

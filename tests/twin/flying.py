@@ -38,6 +38,8 @@ class Flight:
     """When contact was made [s]; NaN if never."""
     clamped: int
     """Cycles in contact in which a clamp acted."""
+    fastest: np.ndarray
+    """Largest true speed of each joint, let go or not (4,) [rad/s]."""
 
     @property
     def reason(self) -> Reason:
@@ -93,10 +95,12 @@ def fly(
     """
     twin = Twin(twin_settings(stiffness=stiffness, gap=settings.pop("gap", 0.005), faults=faults, **settings))
     truth: list[tuple[float, ...]] = []
+    fastest = np.zeros(4)
 
     def watch(now: Twin) -> None:
         seen = now.truth()
         truth.append((seen.time, *seen.force))
+        np.maximum(fastest, np.abs(seen.qd), out=fastest)
 
     clock = LockstepClock(twin, watch)
     frames: list[tuple[float, tuple[int, ...]]] = []
@@ -133,4 +137,5 @@ def fly(
         frames,
         entered[0] if entered else float("nan"),
         clamped[0],
+        fastest,
     )
