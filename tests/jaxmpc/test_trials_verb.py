@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxmpc import Experiment
+from jaxmpc import Experiment, Params
+from jaxmpc.beside import Apart
 from jaxmpc.cli import main
 from tuning import trials
 from tuning.trials import Job, Outcomes, drawn
 from tuning.trials import outcomes as judging
+from tuning.trials.cli import _drawing
 
 
 @pytest.fixture
@@ -109,3 +111,13 @@ def test_a_file_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     (tmp_path / "out").touch()
     assert main(["trials", "text", "--trials", "1", "-o", str(tmp_path / "out")]) == 2
     assert "a folder" in capsys.readouterr().err
+
+
+@pytest.mark.oracle
+def test_beside_a_gpu_another_process_draws_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jaxmpc.terminal.process.may_have_a_gpu", lambda: True)
+    job = Job((Params(),), Experiment.published("table-1-wam"))
+    with _drawing(job, 30) as drawing:
+        assert isinstance(drawing, Apart)
+        for one, other in zip(drawing.result(), job.drawn(0, 30), strict=True):
+            np.testing.assert_array_equal(one, other)

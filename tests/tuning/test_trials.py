@@ -23,7 +23,7 @@ from jaxmpc.report.content import Table
 from jaxmpc.stability.family import family_margins, judged_where
 from tuning import trials
 from tuning.job.scenarios import RHYTHMS, Scenarios
-from tuning.trials import HARD, NOMINAL, Job, Outcomes, Spread, compute, drawn, joined, on_own_tissues
+from tuning.trials import HARD, NOMINAL, Job, Outcomes, Spread, compute, drawn, on_own_tissues
 from tuning.trials.cli import _tables
 from tuning.trials.linear_margins import margins_table
 from tuning.trials.program import Met
@@ -189,7 +189,7 @@ def test_what_sets_trials_apart_is_what_they_have(changes: dict[str, Any], sprea
     base = msgspec.structs.replace(base, arm=msgspec.structs.replace(base.arm, substeps=2, **changes))
     asked = Job((Params(),), base, spread, seed=2)
     first = drawn.BLOCK - 2
-    found = joined([asked.drawn(first, 3), asked.drawn(first + 3, drawn.POOL)])
+    found = asked.drawn(first, 3 + drawn.POOL)
     for i, trial in enumerate(asked.trial(first + i) for i in range(3 + drawn.POOL)):
         arm, motion = trial.arm, trial.motion
         assert found.motion[i] == (f"{motion.rhythm}/{motion.ventilation}" if motion.kind == "rhythm" else motion.kind)

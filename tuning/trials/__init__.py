@@ -27,7 +27,7 @@ from jaxmpc.terminal.progress import progress
 from jaxmpc.xla.store import source_of
 from tuning.trials import drawn
 from tuning.trials.compute import outcomes_of
-from tuning.trials.drawn import HARD, MOST, NOMINAL, Drawn, Job, Spread, joined, motion_of, on_own_tissues
+from tuning.trials.drawn import HARD, MOST, NOMINAL, Drawn, Job, Spread, motion_of, on_own_tissues
 from tuning.trials.outcomes import Outcomes
 
 __all__ = [
@@ -38,7 +38,6 @@ __all__ = [
     "Job",
     "Outcomes",
     "Spread",
-    "joined",
     "motion_of",
     "on_own_tissues",
     "run",

@@ -3,6 +3,7 @@
 import argparse
 import sys
 import time
+from contextlib import AbstractContextManager, nullcontext
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.terminal.arguments import engine_argument
 
 if TYPE_CHECKING:
+    from jaxmpc.beside import Apart
     from jaxmpc.report.content import Table
     from tuning.trials import Drawn, Job, Outcomes, Told
 
@@ -63,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     if may_have_a_gpu():
         forks_of("tuning.trials.compute")  # who makes what trials meet imports it beside this process
     from jaxmpc.xla.place import wake_beside
-    from tuning.trials import HARD, MOST, NOMINAL, Job, joined, on_own_tissues
+    from tuning.trials import HARD, MOST, NOMINAL, Job, on_own_tissues
     from tuning.trials import run as run_trials
     from tuning.trials.linear_margins import COLUMNS, TISSUES, margins_table
 
@@ -82,38 +84,52 @@ def run(args: argparse.Namespace) -> int:
         f"{args.trials} trials of {job.base.duration:g} s on {job.spread.arms} arms, {job.base.name}, seed {args.seed}"
     )
     print(_drawn_from(job), flush=True)
-    began, tell = time.monotonic(), _teller(job, names)
-    drawn: list[Drawn] = []
-
-    def heard(first: int, found: "Outcomes") -> None:
-        if args.out:
-            # Block by block: all at the end would have a GPU's user wait.
-            drawn.append(job.drawn(first, len(found.status)))
-        if not args.quiet:
-            tell(first, found)
-
+    began, tell = time.monotonic(), None if args.quiet else _teller(job, names)
     try:
         blocks = args.out / "blocks" if args.out else None
-        with Beside(1) as beside:
+        with Beside(1) as beside, _drawing(job, args.trials) if args.out else nullcontext() as drawing:
             # Of little work and much compiling, which the trials leave a core for while they compile themselves.
             margins = beside.submit(margins_table, names, job)
-            found = run_trials(job, args.trials, blocks, not args.quiet, heard)
+            found = run_trials(job, args.trials, blocks, not args.quiet, tell)
             print(f"{args.trials} trials × {len(names)} controllers after {time.monotonic() - began:.0f} s")
             verdicts = _tables(job, names, found)
             print()
             show(f"linear margins, the worst of {TISSUES} tissues", COLUMNS, margins.result())
-        if args.out:
-            _files(args.out, job, joined(drawn), names, found, verdicts)
+            if drawing:
+                _files(args.out, job, drawing.result(), names, found, verdicts)
     except BrokenPipeError:
         raise  # nobody reads what is told, which costs no block
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
-        print(f"jaxmpc trials: cannot write: {error.strerror}{where}. Finished blocks are kept.", file=sys.stderr)
+        print(
+            f"jaxmpc trials: cannot write: {error.strerror or error}{where}. Finished blocks are kept.", file=sys.stderr
+        )
         return 1
     failed = int(found.lost[:, 0].sum())
     if failed:
         print(f"jaxmpc trials: {names[0]} was lost in {failed} of {args.trials} trials", file=sys.stderr)
     return int(failed > 0)
+
+
+class _Drawing:
+    """What the trials of a job meet, drawn when it is asked for."""
+
+    def __init__(self, job: "Job", count: int) -> None:
+        self._job, self._count = job, count
+
+    def result(self) -> "Drawn":
+        return self._job.drawn(0, self._count)
+
+
+def _drawing(job: "Job", count: int) -> "AbstractContextManager[_Drawing | Apart]":
+    """What trials meet, for their table. It takes Python 9 s for 10⁵ of them, for which a GPU's user would wait."""
+    from dataclasses import replace
+
+    from jaxmpc.beside import Apart
+    from jaxmpc.terminal.process import may_have_a_gpu
+
+    drawing = _Drawing(replace(job, controllers=()), count)  # which may be arrays of a GPU
+    return Apart(drawing.result) if may_have_a_gpu() else nullcontext(drawing)
 
 
 def _teller(job: "Job", names: list[str]) -> "Told":

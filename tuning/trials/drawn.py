@@ -1,6 +1,5 @@
 """What a trial meets, drawn from its seed and number alone: robot, tissue, delay, rhythm."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
@@ -175,11 +174,6 @@ class Job:
 
 
 _scenario = lru_cache(maxsize=POOL)(scenario)
-
-
-def joined(parts: Sequence[Drawn]) -> Drawn:
-    """Several stretches of trials as one, in their order; at least one."""
-    return Drawn(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def motion_of(number: int) -> int:
