@@ -72,11 +72,11 @@ class JitOnce:
                 program: Any = kept.call
                 lowered = program.lower(*jax.tree.leaves(self._named(args, kwargs)[0]))
 
-        def compile() -> None:
+        def finish() -> None:
             with alone:
                 lowered.compile()
 
-        return compile
+        return finish
 
     def _one_at_a_time(self, args: Any, kwargs: Any) -> Lock:
         """Held while a program is compiled, or begun: JAX does not wait for what it begins."""

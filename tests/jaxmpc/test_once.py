@@ -33,8 +33,8 @@ def test_a_program_is_traced_and_then_compiled() -> None:
 
     x = np.linspace(0.1, 3.0, 5)
     program = JitOnce(told)
-    compile = program.traced(x)
+    finish = program.traced(x)
     assert seen == [5]
-    compile()
+    finish()
     np.testing.assert_allclose(program(x), jax.jit(wave)(x), rtol=1e-12)
     assert seen == [5]

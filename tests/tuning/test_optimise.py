@@ -58,7 +58,7 @@ def test_a_gradient_that_is_not_finite_moves_only_the_others() -> None:
 
 def test_threads_that_it_is_given_may_go_on_when_a_search_is_over(monkeypatch: pytest.MonkeyPatch, small: Job) -> None:
     """What compiles there for the proof is not waited for."""
-    found = run.Step("linear", SimpleNamespace(), SimpleNamespace(best=np.ones(1)))  # type: ignore[arg-type]
+    found = run.Step("linear", SimpleNamespace(), SimpleNamespace(best=np.ones(1), closest=np.ones(1)))  # type: ignore[arg-type]
     monkeypatch.setattr(run, "problem_of", lambda *_, **__: None)
     monkeypatch.setattr(run, "proposal", lambda *_: found)
     going, spec = Event(), TuneSpec.from_dict(small())

@@ -260,8 +260,8 @@ def test_what_is_compiled_ahead_is_a_program_for_each_structure(monkeypatch: pyt
         compute, "traced_ahead", lambda _, __, shared: partial(compiled.append, shared.params.disturbance_order)
     )
     asked = job(Params(K2=1.0), Params(K2=2.0, disturbance_order=2), Params(K2=3.0))
-    for compile in compute._traced(compute._programs(asked, compute.constants_of(asked), 1), ()):
-        compile()
+    for finish in compute._traced(compute._programs(asked, compute.constants_of(asked), 1), ()):
+        finish()
     assert sorted(compiled) == [1, 2]
 
 

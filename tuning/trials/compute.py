@@ -81,7 +81,7 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
         if not on_cpu:
             # While the first wave is made. Of two programs that are traced at a time both wait, else they do not.
             traced = running.submit(_traced, programs, (_sent(_blank(constants), devices[0]),) * size)
-            running.submit(lambda: [compile() for compile in traced.result()])
+            running.submit(lambda: [finish() for finish in traced.result()])
             judging.submit(_rehearsed, job, len(waves[0]) * drawn.BLOCK, traced)
         for wave, device in zip(waves, cycle(devices), strict=False):
             met = [block if on_cpu else _sent(block, device) for block in islice(blocks, len(wave))]
