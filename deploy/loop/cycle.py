@@ -7,7 +7,7 @@ machine takes it, and the cycle ends with the frame of the task that is then all
 """
 
 from collections.abc import Callable
-from math import dist, hypot, inf, isfinite
+from math import dist, inf, isfinite
 from typing import NamedTuple
 
 from deploy.controller.limits import Limits
@@ -15,6 +15,7 @@ from deploy.force.sensor import BAD_DATA, SATURATED
 from deploy.loop.control import TaskController
 from deploy.loop.force_watch import ForceSample, ForceWatch
 from deploy.loop.hazards import CycleTiming, Hazards
+from deploy.loop.positions import Positions
 from deploy.puck.frame import Frame
 from deploy.safety import machine
 from deploy.safety.checker import Checker, Strictness
@@ -22,12 +23,10 @@ from deploy.safety.clamp import NOTHING, Clamp, bounds, clamp
 from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import Observations, OperatingState, SafetyState, Task
 from deploy.safety.overshoot import Pushes, pushed
-from deploy.safety.plausible import EncoderState, ForceState, beyond_stop, encoder_step, force_step
+from deploy.safety.plausible import ForceState, force_step
 from deploy.safety.posture import displaced
 from deploy.safety.reasons import Reason
-from deploy.safety.unmoved import unmoved
 from deploy.wam.arm import WamArm
-from deploy.wam.encoder_bridge import EncoderBridge
 from deploy.wam.reading import Reading
 from deploy.wam.tip_pose import TipKinematics
 from jaxmpc.law.vectors import Vector3, Vector4
@@ -78,6 +77,7 @@ class Cycle:
     """Runs the control cycle of the robot, apart from its timing.
 
     Attributes:
+        positions: What is believed of the encoders.
         watch: What is known of the force sensor's truth.
         pushes: The largest in contact and on the way out.
     """
@@ -119,22 +119,13 @@ class Cycle:
         self.safety_state, self._waits = SafetyState(), machine.patience(T_s)
         self.checker = Checker(limits, T_s, pucks.ipnm, (1, 2, 3, 4), tool_length, pucks.number("T"))
         self._bounds = bounds(limits, T_s, pucks.ipnm)
-        self._turns, self._hook, self._T_s, self._tip_kinematics = turns, hook, T_s, tip_kinematics
-        self._posture = posture
-        self._bridge = EncoderBridge(arm.counts)
-        self._counts_per_turn = tuple(info.counts_per_turn for info in pucks.infos)
-        self._encoders, self._force_state = EncoderState(), ForceState()
-        self._task, self._unmoved = Task.OFF, -1
+        self._turns, self._hook, self._tip_kinematics, self._posture = turns, hook, tip_kinematics, posture
+        self._task, self._force_state = Task.OFF, ForceState()
         self._saturated: int | None = None  # flags of gauges stay set: those of the first reading are of the past
         self.watch = ForceWatch(controller, estimate, deepest, T_s)
-        self._age, self._hazards, self.pushes = [0] * 4, Hazards(arm, T_s), Pushes()
-        self._q = pucks.angles(arm.counts)
-        controller.runtime.start(self._q)
-
-    @property
-    def position_age(self) -> tuple[int, ...]:
-        """Age of each motor's last believed position (4,) [cycles]; one that was refused has not come."""
-        return tuple(self._age)
+        self.positions = Positions(arm, T_s, controller.runtime.velocity)
+        self._hazards, self.pushes = Hazards(arm, T_s), Pushes()
+        controller.runtime.start(self.positions.q)
 
     def step(self, reading: Reading, timing: CycleTiming, command: OperatorCommand) -> CycleResult:
         """Decide the frame of a cycle.
@@ -145,8 +136,8 @@ class Cycle:
             command: Command of the operator.
         """
         runtime = self.controller.runtime
-        danger, age, oldest = self._positions(reading, timing.missed)
-        q = self._q
+        danger, age, oldest = self.positions.take(reading, timing.missed)
+        q = self.positions.q
         qd = runtime.velocity(q) if age <= machine.BRIDGED else ZERO
         kinematics = self._tip_kinematics(q, qd)
         force, doubt = self._force(reading, kinematics)
@@ -155,8 +146,8 @@ class Cycle:
         lying = self.watch.judge(self.safety_state.state, sample, driven, timing.missed > 0)
         if doubt is Reason.NONE:
             doubt = lying
-        self._unmoved = self._pushed_in_vain(force)
-        hazard, detail = self._hazards.judge(reading, timing, min(self._age))
+        self.positions.weigh(self.safety_state, self._task, self.watch, force)
+        hazard, detail = self._hazards.judge(reading, timing, min(self.positions.age))
         if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._hazards.lately):
             danger = Reason.LATE
         if timing.late:
@@ -214,40 +205,6 @@ class Cycle:
             self.controller.runtime.applied(applied)
         self._task = task
         return CycleResult(frame, self.safety_state, task, acted, q, qd, kinematics, force, wanted, applied)
-
-    def _positions(self, reading: Reading, missed: int) -> tuple[Reason, int, int]:
-        """Take positions; the reason to distrust them, the age of the oldest [cycles], and its motor (0–3)."""
-        counts = reading.counts
-        self._encoders, reason, culprit = encoder_step(
-            self._encoders, counts, self._counts_per_turn, self._T_s * (1 + missed), self._unmoved
-        )
-        if reason is not None:
-            counts = tuple(None if i == culprit else each for i, each in enumerate(counts))
-        for i, (each, late) in enumerate(zip(counts, reading.position_age, strict=True)):
-            cycles = self._age[i] + 1 if each is None else late
-            self._age[i] = cycles + missed if cycles else 0
-        age = max(self._age)
-        oldest = culprit if reason is not None else self._age.index(age)
-        if age <= machine.BRIDGED:
-            for between in self._bridge.take(counts, missed):
-                q = self.arm.pucks.angles(between)
-                if between is not self._bridge.counts:
-                    self.controller.runtime.velocity(q)
-            if (joint := beyond_stop(q)) >= 0:
-                return Reason.ENCODER_RANGE, age, joint
-            self._q = q
-        return reason or Reason.NONE, age, oldest
-
-    def _pushed_in_vain(self, force: Vector3 | None) -> int:
-        """The motor (0–3) that stands still though the servo of a retraction, or after it, pushes it; −1 for none.
-
-        An arm that is held so far may be leant on, and in contact joints stand still for friction.
-        """
-        now = self.safety_state
-        if self._task not in (Task.RETRACT, Task.HOLD) or now.state is OperatingState.ARMED:
-            return -1
-        push = None if force is None or now.reason is Reason.FORCE_MODEL else hypot(*force)
-        return unmoved(self._encoders.still, self.watch.disturbance, push, now.cycles, self._T_s)
 
     def _force(self, reading: Reading, kinematics: TipKinematics) -> tuple[Vector3 | None, Reason]:
         """Force on the tissue in the world's axes [N], and the reason to distrust it."""

@@ -251,7 +251,7 @@ class Loop:
             REASONS.index(result.safety_state.reason),
             float(sum(1 << i for i, acted in enumerate(result.clamp) if acted)),
             *arm.counts,
-            *self._cycle.position_age,
+            *self._cycle.positions.age,
             reading.force_age,
             1e-9 * lateness,
             1e-9 * compute,
