@@ -30,7 +30,7 @@ import numpy as np
 
 from deploy.cli import check
 from deploy.controller import golden, recomputed_margins
-from deploy.controller.arm_model import GOLDEN
+from deploy.controller.arm_model import GOLDEN, KNOWN
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import ArtifactError, from_bytes, to_bytes
 from deploy.controller.limits import MECHANICAL_STOPS, REACH
@@ -135,7 +135,7 @@ def torques(artifact: Artifact) -> np.ndarray:
 
 def law(artifact: Artifact) -> str:
     """All that its torques depend on."""
-    arm = None if artifact.arm is None else {k: v for k, v in vars(artifact.arm).items() if k not in GOLDEN}
+    arm = None if artifact.arm is None else {k: v for k, v in vars(artifact.arm).items() if k not in (*GOLDEN, KNOWN)}
     return exact((artifact.gains, artifact.T_s, artifact.K2, artifact.preview, artifact.loop, arm))
 
 

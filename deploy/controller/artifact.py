@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from deploy.controller import frozen_gains, judged_loop, margin_floor
-from deploy.controller.arm_model import ArmModel
+from deploy.controller.arm_model import KNOWN, ArmModel
 from deploy.controller.checks import AGAIN, array, plain
 from deploy.controller.judged_loop import JudgedLoop
+from deploy.controller.known_tissue import SAMPLES
 from deploy.controller.least_rate import CAPPED, IPNM_RANGE, check_rates
 from deploy.controller.limits import REACH
 from jaxmpc.files.errors import InputError
@@ -115,6 +116,7 @@ class Artifact:
         if len(arm.golden_q) != len(self.golden_force):
             bound = f"of as many samples as golden_force, {len(self.golden_force)}"
             raise InputError("golden_q", f"{len(arm.golden_q)} samples", bound, AGAIN)
+        self._check_known(arm)
         felt = max(math.hypot(*row) for row in self.golden_force.tolist())
         if felt > arm.limits.force:
             remedy = "Choose limits that its own run keeps, or another controller."
@@ -129,6 +131,16 @@ class Artifact:
         if arm.limits.force > REACH * softest:
             bound = f"at least {arm.limits.force / REACH:g} N/m, into which the force limit sinks the tip by its reach"
             raise InputError("stiffness", softest, bound, "Promise no tissue so soft, or limit the force.")
+
+    def _check_known(self, arm: ArmModel) -> None:
+        """A schedule has the torques at its knots, no other controller has any."""
+        family, known = self.gains.schedule, arm.golden_known
+        if (family is None) != (known is None):
+            have = "missing" if known is None else "given"
+            bound = "given for a controller with a schedule, whose every knot it holds, and for no other"
+            raise InputError(KNOWN, have, bound, AGAIN)
+        if family is not None:
+            array(KNOWN, known, (len(family.knots), min(SAMPLES, len(self.golden_force)), 4))
 
     @property
     def flown_gains(self) -> Gains:

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from deploy.controller import known_tissue
 from deploy.controller.artifact import Artifact
 from deploy.controller.runtimes import arm_runtime, linear_runtime
 from jaxmpc.files.errors import InputError
-from jaxmpc.law.reference import told
 
 TOLERANCE = 1e-9
 """Largest deviation from the golden trace at load [-, N m]; `replay` says why."""
@@ -15,6 +15,8 @@ TOLERANCE = 1e-9
 
 def replay(artifact: Artifact) -> tuple[float, float]:
     """Largest deviations from the golden trace: of v, relative to its largest [-], and of the torques [N m].
+
+    Those of a schedule are also those at its knots, each with its gains in control (`known_tissue`).
 
     The trace begins in contact at rest at its first sample. Every force and angle comes from the trace, as do the
     torques that were applied, not from a loop that reacts, so no feedback amplifies rounding. What remains is that XLA
@@ -43,11 +45,9 @@ def check_golden(artifact: Artifact) -> float:
 
 def arm_inputs(artifact: Artifact) -> list[tuple[Any, Any, Any]]:
     """Angles [rad], measured and wanted force [N] of each golden sample, as the runtime of an arm takes them."""
-    arm, wanted = artifact.arm, artifact.golden_force_ref.tolist()
+    arm = artifact.arm
     assert arm is not None
-    if artifact.preview:
-        wanted = told(wanted)
-    return list(zip(arm.golden_q.tolist(), artifact.golden_force.tolist(), wanted, strict=True))
+    return known_tissue.samples(arm.golden_q, artifact.golden_force, artifact.golden_force_ref, artifact.preview)
 
 
 def _linear(artifact: Artifact) -> tuple[np.ndarray, float]:
@@ -60,11 +60,14 @@ def _linear(artifact: Artifact) -> tuple[np.ndarray, float]:
 def _on_arm(artifact: Artifact) -> tuple[np.ndarray, float]:
     runtime, arm = arm_runtime(artifact), artifact.arm
     assert arm is not None
-    v, torques = [], []
+    v, torques, known, trace = [], [], np.zeros(0), arm_inputs(artifact)
+    if artifact.gains.schedule is not None:
+        known = known_tissue.replayed(runtime, artifact.gains.schedule, trace) - arm.golden_known
     runtime.start(tuple(arm.golden_q[0].tolist()))
     runtime.enter(tuple(artifact.golden_force[0].tolist()), tuple(arm.golden_q[0].tolist()))
-    for (q, force, force_ref), applied in zip(arm_inputs(artifact), arm.golden_applied.tolist(), strict=True):
+    for (q, force, force_ref), applied in zip(trace, arm.golden_applied.tolist(), strict=True):
         torques.append(runtime.control(q, runtime.velocity(q), force, force_ref))
         v.append(runtime.last_v)
         runtime.applied(applied)
-    return np.array(v), float(np.max(np.abs(np.array(torques) - arm.golden_torque)))
+    off = np.append(np.array(torques) - arm.golden_torque, known)
+    return np.array(v), float(np.max(np.abs(off)))

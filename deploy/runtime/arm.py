@@ -85,6 +85,7 @@ class ArmRuntime:
 
         self._p_hat, self._u = of_each(where.axes, "p_hat"), of_each(where.axes, "u")
         self._believed, self._authority = of_each(tissues, "log_stiffness"), of_each(tissues, "authority")
+        self._tissues = [(tissue.log_stiffness, tissue.authority) for tissue in tissues]
         self._sines = [itemgetter(*flat((t.listening, t.heard, t.force[-1], t.tip[-1]))) for t in tissues]
         self._share = None if where.guard is None else where.guard.share
         self._backed_off = None if where.guard is None else slice(where.guard.memory[0], where.guard.memory[-1] + 1)
@@ -175,6 +176,13 @@ class ArmRuntime:
             return _THREE
         x, y, z = map(math.exp, self._believed(self._memory))
         return x, y, z
+
+    def believe(self, log_stiffness: float) -> None:
+        """Only for a check: under each axis ln K̂ [K̂ in N/m] is known, and its gains have all of the control."""
+        memory = list(self._memory)
+        for place, share in self._tissues:
+            memory[place], memory[share] = log_stiffness, 1.0
+        self._held[0] = tuple(memory)
 
     @property
     def authority(self) -> Vector3:

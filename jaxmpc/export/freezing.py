@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from deploy.controller.arm_model import ROBOT
+from deploy.controller import known_tissue
+from deploy.controller.arm_model import KNOWN, ROBOT
 from deploy.controller.artifact import Artifact
 from deploy.controller.freeze import freeze
 from deploy.controller.judged_loop import JudgedLoop
@@ -16,7 +17,14 @@ from jaxmpc import __version__, design, margins
 from jaxmpc.beside import Beside
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.build import robot_of
-from jaxmpc.export.golden import ArmRun, arm_law_trace, law_trace, simulated_arm_runs, simulated_run
+from jaxmpc.export.golden import (
+    ArmRun,
+    arm_law_trace,
+    law_trace,
+    nominal_controller,
+    simulated_arm_runs,
+    simulated_run,
+)
 from jaxmpc.files.errors import InputError, nearest
 from jaxmpc.files.sealed import digest
 from jaxmpc.files.toml import located, read_toml
@@ -199,8 +207,14 @@ def _arm_trace(
         hertz, size = (SWING_HZ, SWING) if gains.schedule is None else (QUICKER_HZ, LESS)
         swung[-GOLDEN_SAMPLES:] += _swing(gains.guard, T_s, hertz, size, min(GOLDEN_SAMPLES, len(swung)))
         run = run._replace(force=swung)
-    answer = arm_law_trace(gains, float(params.K2), experiment, run, velocity_cutoff)
+    K2 = float(params.K2)
+    answer = arm_law_trace(gains, K2, experiment, run, velocity_cutoff)
     arm |= {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
+    if gains.schedule is not None:
+        preview = experiment.reference.preview
+        controller, compensated = nominal_controller(gains, K2, experiment, velocity_cutoff)
+        trace = known_tissue.samples(run.q, run.force, run.force_ref, preview)
+        arm |= {KNOWN: known_tissue.torques(controller, compensated, trace, preview)}
     return run.force, run.force_ref, answer.v
 
 

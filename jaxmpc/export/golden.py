@@ -148,17 +148,32 @@ def arm_law_trace(
         run: What was read.
         velocity_cutoff: Low-pass of the velocity [rad/s]; None is the experiment's.
     """
-    preview, compensated = experiment.reference.preview, experiment.arm.compensation > 0.0
-    robot = with_cutoff(robot_of(experiment), velocity_cutoff, FLOATS)
-    apart = scalars(jax.tree.map(jnp.asarray, gains), preview)
-    bandwidth = experiment.arm.momentum_observer or None
-    controller = Controller(chain(), robot.nominal, robot.posture, apart, K2, robot.measurement, bandwidth)
+    preview = experiment.reference.preview
+    controller, compensated = _nominal(gains, K2, experiment, velocity_cutoff)
+    limits = robot_of(experiment).limits
     wanted = np.array(told(run.force_ref.tolist())) if preview else run.force_ref[:, :, None]
     inputs = run.q, run.force, wanted
-    free = _arm_law(controller, robot.limits, inputs, compensated=compensated)
+    free = _arm_law(controller, limits, inputs, compensated=compensated)
     most = np.quantile(np.abs(free.torque), LIMITED_ABOVE, axis=0)
-    tight = robot.limits._replace(torque=tuple(most.tolist()))
+    tight = limits._replace(torque=tuple(most.tolist()))
     return ArmAnswer(*map(np.asarray, _arm_law(controller, tight, inputs, compensated=compensated)))
+
+
+@in_float64
+def nominal_controller(
+    gains: Gains, K2: float, experiment: Experiment, velocity_cutoff: float | None = None
+) -> tuple[Controller, bool]:
+    """The controller that `arm_law_trace` runs, of floats, and whether it cancels friction."""
+    controller, compensated = _nominal(gains, K2, experiment, velocity_cutoff)
+    return jax.tree.map(float, controller), compensated
+
+
+def _nominal(gains: Gains, K2: float, experiment: Experiment, velocity_cutoff: float | None) -> tuple[Controller, bool]:
+    robot = with_cutoff(robot_of(experiment), velocity_cutoff, FLOATS)
+    apart = scalars(jax.tree.map(jnp.asarray, gains), experiment.reference.preview)
+    bandwidth = experiment.arm.momentum_observer or None
+    controller = Controller(chain(), robot.nominal, robot.posture, apart, K2, robot.measurement, bandwidth)
+    return controller, experiment.arm.compensation > 0.0
 
 
 def _arm_law_trace(controller: Controller, limits: TorqueLimits, inputs: Any, compensated: bool) -> ArmAnswer:

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from deploy.controller.arm_model import ROBOT, ArmModel, published_tip
+from deploy.controller import known_tissue
+from deploy.controller.arm_model import KNOWN, ROBOT, ArmModel, published_tip
 from deploy.controller.artifact import Artifact
 from deploy.controller.judged_loop import JudgedLoop
 from deploy.controller.limits import Limits
@@ -250,6 +251,10 @@ def arm_arguments(n: int = 40, preview: bool = False, compensated: bool = False,
     v, torque, applied = on_floats(controller, arm["compensated"], inputs)
     wanted = np.array(inputs[2])
     arm |= {"golden_q": np.array(inputs[0]), "golden_applied": applied, "golden_torque": torque}
+    if gains.schedule is not None:
+        forces = wanted if preview else wanted[..., 0]
+        trace = known_tissue.samples(arm["golden_q"], np.array(inputs[1]), forces, preview)
+        arm |= {KNOWN: known_tissue.torques(controller, arm["compensated"], trace, preview)}
     return {
         "gains": gains,
         "T_s": T_S,

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from deploy.controller import frozen_gains
@@ -65,6 +66,37 @@ def test_a_wrong_guard_is_refused(guarded, path, value, message):
 def test_every_constant_of_the_guard_is_held_by_the_trace(guarded, name):
     value = guarded[0]["gains"]["guard"][name] * 1.001
     refused(guarded, "deviation from the golden t", f"gains.guard.{name}", value)
+
+
+@pytest.fixture(scope="module")
+def family():
+    """Header and arrays of a family whose trace is over before its schedule has any of the control."""
+    return unseal(to_bytes(made.arm_artifact(6, gains=made.scheduled_gains())))
+
+
+KNOT_GAINS = ("phi", "gamma", "K", "L", "input_gain", "mpc_ref", "mpc_x", "mpc_u")
+
+
+@pytest.mark.parametrize("name", [*(f"gains.{each}" for each in KNOT_GAINS), "K2", "log_stiffness"])
+@pytest.mark.parametrize("knot", [0, 1])
+def test_the_gains_of_every_knot_are_held_by_the_trace(family, knot, name):
+    """Also those on which the run's own tissue never comes."""
+    value = family[0]["gains"]["schedule"]["knots"][knot]
+    for key in name.split("."):
+        value = value[key]
+    # Of the weights of the reference, which are summed here, the first few stand for all.
+    for place in range(min(len(value), 4)) if isinstance(value, list) else [None]:
+        more = 1.001 * value if place is None else [x * (1.001 if i == place else 1.0) for i, x in enumerate(value)]
+        refused(family, "deviation from the golden torques", f"gains.schedule.knots.{knot}.{name}", more)
+
+
+def test_a_family_of_before_its_knots_were_traced_is_refused(family, guarded):
+    message = "golden_known = missing: must be given for a controller with a schedule, .* Freeze the controller again"
+    refused(family, message, golden_known=None)
+    refused(family, r"golden_known = an array of shape \(1, 6, 4\)", golden_known=family[1]["golden_known"][:1])
+    refused(family, r"golden_known = an array of shape \(2, 5, 4\)", golden_known=family[1]["golden_known"][:, :5])
+    refused(family, "deviation from the golden torques", golden_known=family[1]["golden_known"] + 1e-8)
+    refused(guarded, "golden_known = given: must be given for .* and for no other", golden_known=np.zeros((2, 16, 4)))
 
 
 def test_a_guard_of_nothing_is_none(opened):

@@ -5,8 +5,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from deploy.controller import golden
-from deploy.controller.arm_model import ROBOT, ArmModel
+from deploy.controller import golden, known_tissue
+from deploy.controller.arm_model import KNOWN, ROBOT, ArmModel
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import load
 from deploy.controller.golden import replay
@@ -47,10 +47,14 @@ def frozen(tmp_path_factory):
 def artifact_of(experiment, gains, run, answer, K2=10.0):
     """The controller with this run as its golden trace, so that `replay` runs all of it."""
     trace = {"golden_q": run.q, "golden_applied": answer.applied, "golden_torque": answer.torque}
+    preview = experiment.reference.preview
+    if gains.schedule is not None:
+        controller, compensated = export_golden.nominal_controller(gains, K2, experiment)
+        read = known_tissue.samples(run.q, run.force, run.force_ref, preview)
+        trace |= {KNOWN: known_tissue.torques(controller, compensated, read, preview)}
     model = ArmModel.from_plain(nominal_arm(experiment, None), trace)
     gains = jax.tree.map(np.asarray, gains)
     rows, floor = [made.margin_row(810.0)], {"M_s": 2.0}
-    preview = experiment.reference.preview
     family = None if gains.schedule is None else {"band": BAND, "rows": rows}
     return Artifact(
         gains, 1e-3, K2, preview, made.LOOP, {}, rows, floor, {}, run.force, run.force_ref, answer.v, model, family
