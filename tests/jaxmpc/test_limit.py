@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from jaxmpc.limit.comparison import LimitCell, flown_by, left_by, told
 from jaxmpc.limit.flight import flown
 from jaxmpc.limit.judged import Judged
 from jaxmpc.limit.law import LinearLaw, response
-from jaxmpc.limit.least import LINES, Demands, Limit, least, limit_of
+from jaxmpc.limit.least import LINES, Demands, Limit, largest_sensitivity, least, limit_of
 from jaxmpc.limit.plant import plant_of
 from jaxmpc.limit.youla import law_of, signals, stabiliser
 from jaxmpc.spectra.effort import acceleration_responses
@@ -202,6 +203,34 @@ def test_a_damping_is_held_at_both_cuts(on_arm: Spectrum) -> None:
     cut_at_a, cut_at_v = np.abs(1.0 / loop.whole).max(), np.abs((1.0 + loop.damping) / loop.whole).max()
     assert max(cut_at_a, cut_at_v) == pytest.approx(found.reached.M_s, rel=1e-2)
     assert found.reached.M_s <= 2.0 * 1.005
+
+
+@pytest.mark.parametrize(("damping", "worse_at_a"), [(10.0, False), (300.0, True)])
+def test_the_largest_sensitivity_is_that_of_either_cut(damping: float, worse_at_a: bool) -> None:
+    """In state space: what is added to v, or to a, comes to the arm by one way, and S is what is seen there of it."""
+    contact = contact_of(810.0, damping, loop_path())
+    plant = plant_of(contact)
+    law = law_of(plant, stabiliser(plant, 810.0, T_S), 0.8, np.zeros(3))
+    state = [
+        [plant.A + law.D * np.outer(plant.B, plant.C), np.outer(plant.B, law.C)],
+        [np.outer(law.B, plant.C), law.A],
+    ]
+    v, nothing = np.append(law.D * plant.C, law.C), np.zeros(len(law.B))
+    seen = np.stack([v, v + np.append(plant.C_a, nothing)])
+    system = control.ss(np.block(state), np.append(plant.B, nothing)[:, None], seen, np.ones((2, 1)), T_S)
+    theta = np.geomspace(1e-3, np.pi, 4000)
+    at_v, at_a = np.abs(np.squeeze(control.frequency_response(system, theta / T_S).complex)).max(axis=1)
+    assert (at_a > 1.2 * at_v) == worse_at_a
+    assert largest_sensitivity(law, contact, 0.0) == pytest.approx(max(at_v, at_a), rel=1e-3)
+
+
+def test_a_controller_with_a_low_pass_of_its_own_is_judged_behind_it() -> None:
+    """As in an experiment that has it; what the heart leaves of the force is told, too, not M_s alone."""
+    strong, spectrum = Params(K2=100.0, Khat_s=970.0), white(1.0, 0.01, 50)
+    own = replace(strong, velocity_cutoff=400.0)
+    there = left_by(strong, spectrum, loop_path().with_cutoff(400.0), 810.0, "x")
+    np.testing.assert_allclose(left_by(own, spectrum, loop_path(), 810.0, "x"), there, rtol=1e-9)
+    assert abs(left_by(strong, spectrum, loop_path(), 810.0, "x").rms / there.rms - 1.0) > 1e-3
 
 
 @pytest.mark.oracle

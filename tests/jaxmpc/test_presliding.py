@@ -56,13 +56,18 @@ def joints_peak(params: Params, experiment: Experiment, K_s: float, delay: int) 
     return worst
 
 
-def test_the_modes_are_those_of_an_arm_that_a_force_at_its_tip_has_moved() -> None:
-    """C MuJoCo's: what springs at the joints do to the tip after a push, which leaves the null space at rest."""
-    experiment = base()
+@pytest.mark.parametrize("tool_mass", [0.3, 0.8])
+def test_the_modes_are_those_of_an_arm_that_a_force_at_its_tip_has_moved(tool_mass: float) -> None:
+    """C MuJoCo's: what springs at the joints do to the tip after a push, which leaves the null space at rest.
+
+    Its tool has 0.3 kg; more of it is mass at the tip.
+    """
+    experiment = base(tool_mass=tool_mass)
     arm = Mujoco(np.array(experiment.arm.posture), np.zeros(4))
     springs = np.array(experiment.arm.coulomb) / experiment.arm.presliding
-    angles = np.linalg.solve(arm.M, arm.J.T)  # a column for a push along each axis
-    back = arm.J @ np.linalg.solve(arm.M, springs[:, None] * angles)
+    M = arm.M + (tool_mass - 0.3) * arm.J.T @ arm.J
+    angles = np.linalg.solve(M, arm.J.T)  # a column for a push along each axis
+    back = arm.J @ np.linalg.solve(M, springs[:, None] * angles)
     squares = np.linalg.eigvals(back @ np.linalg.inv(arm.J @ angles)).real
     np.testing.assert_allclose(presliding_frequencies(experiment), np.sqrt(np.sort(squares)), rtol=1e-6)
 
