@@ -150,6 +150,16 @@ def test_one_controller_and_one_tissue_each() -> None:
         robots_of([experiment(stiffness=(375.0, 810.0))])
 
 
+@pytest.mark.oracle
+def test_a_low_pass_of_ones_own_takes_the_place_of_the_arms() -> None:
+    """As slow a one as loses the softest tissue, whosever it is."""
+    quick, damped = experiment(stiffness=(375.0,)), Params(K2=100.0)
+    slow = msgspec.structs.replace(quick, velocity_lowpass=20.0)
+    assert lost(damped, [quick, slow]).tolist() == [False, True]
+    assert lost(replace(damped, velocity_cutoff=20.0), [quick]).tolist() == [True]
+    assert lost(replace(damped, velocity_cutoff=180.0), [slow]).tolist() == [False]
+
+
 @pytest.mark.slow
 def test_it_foretells_the_hard_trials() -> None:
     """Of 720 of 8 s each, 89.7 % as foretold: 68.8 % unstable, and 60.1 % in the runs, where nearly all others lie.

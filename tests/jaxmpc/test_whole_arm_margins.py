@@ -1,7 +1,9 @@
 """Margins of the whole arm: the axis' own on a heavy perfect arm, poles on the unit circle, what an observer costs."""
 
+from dataclasses import replace
 from functools import cache
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -114,6 +116,28 @@ def test_sticking_joints_are_springs() -> None:
     moved, kept = T_S / ARM.presliding, 1.0 + T_S * SMALL_VELOCITY / ARM.presliding
     assert np.abs(sticking.A - sliding.A).max() == pytest.approx(moved / kept, rel=1e-12)
     assert (np.asarray(found(sticking=True).at_v.M_s) < 0.6 * np.asarray(found().at_v.M_s)).all()
+
+
+@pytest.mark.oracle
+def test_a_loop_that_is_unstable_has_none() -> None:
+    """With K̂_s = 200 N/m on 1900; a peak over frequency would be there all the same."""
+    lost = whole_arm_margins(Params(Khat_s=200.0), experiment(stiffness=(1900.0,), momentum_observer=0.0))
+    assert float(lost.spectral_radius) > 1.05
+    for name in CUTS:
+        M_s, *others = getattr(lost, name)
+        assert np.isinf(M_s).all()
+        assert np.isnan(others).all()
+
+
+@pytest.mark.oracle
+def test_a_low_pass_of_ones_own_takes_the_place_of_the_arms() -> None:
+    damped, given = Params(K2=100.0), experiment(stiffness=(375.0,), momentum_observer=0.0)
+    slow = msgspec.structs.replace(given, velocity_lowpass=60.0)
+    own = whole_arm_margins(replace(damped, velocity_cutoff=60.0), given)
+    there, quick = whole_arm_margins(damped, slow), whole_arm_margins(damped, given)
+    for name in CUTS:
+        np.testing.assert_allclose(getattr(own, name).M_s, getattr(there, name).M_s, rtol=1e-9)
+        assert (np.abs(np.asarray(getattr(own, name).M_s) / np.asarray(getattr(quick, name).M_s) - 1.0) > 1e-3).all()
 
 
 def test_one_controller_at_a_time() -> None:
