@@ -127,6 +127,18 @@ def test_free_modes_are_those_of_masses_and_springs() -> None:
     np.testing.assert_allclose(np.abs(eigenvalues), 1.0, atol=1e-6)  # two drift: defective at 1, the root of rounding
 
 
+def test_a_tip_that_may_let_go_is_judged_as_one_that_holds() -> None:
+    """At rest it touches without force, where what is not attached has half a slope or none."""
+    holding = experiment()
+    loose = msgspec.structs.replace(holding, tissue=msgspec.structs.replace(holding.tissue, attached=False))
+    (kind, robot), (other, same) = world_of(holding), world_of(loose)
+    assert kind.attached
+    assert not other.attached
+    gains = design(Params())
+    found = whole_arm_matrix(chain(), other, same, gains, 10.0)
+    np.testing.assert_array_equal(found, whole_arm_matrix(chain(), kind, robot, gains, 10.0))
+
+
 def test_a_matrix_without_a_number_counts_as_unstable() -> None:
     np.testing.assert_array_equal(radii(np.array([[[0.5]], [[-2.0]], [[np.nan]]])), [0.5, 2.0, np.inf])
 
