@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from jaxmpc.beside import Beside
+from jaxmpc.files.alone import alone_in
 from jaxmpc.xla.precision import in_float64
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
@@ -48,12 +49,10 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
         The tuned parameters with the comparison on held-out scenarios.
 
     Raises:
-        InputError: The folder holds the state of another spec, or a damaged one.
+        InputError: The folder holds the state of another spec, or a damaged one, or another process works in it.
     """
     place = None if folder is None else Path(folder)
-    if place is not None:
-        place.mkdir(parents=True, exist_ok=True)
-    with threads() as pool:
+    with alone_in(place), threads() as pool:
         history = run_search(spec, place, progress, programs, pool)
         if place is None:
             return assess(history, progress)

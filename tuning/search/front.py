@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from jaxmpc import described
+from jaxmpc.files.alone import alone_in
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.sealed import digest, write_atomic
 from jaxmpc.metrics import Metrics
@@ -69,13 +70,21 @@ def pareto(
         z: Where every point starts, (size,); None tunes the job first.
 
     Raises:
-        InputError: The job has no such limits, or the folder holds the state of another job.
+        InputError: The job has no such limits, the folder holds the state of another job, or another process works
+            in it.
     """
     if not spec.pareto:
         raise InputError("pareto", "empty", "a table of limits", "Give some, such as M_s = [1.6, 2.0, 3.0].")
     place = None if folder is None else Path(folder)
-    if place is not None:
-        place.mkdir(parents=True, exist_ok=True)
+    with alone_in(place):
+        front = _front(spec, place, progress, z)
+        if place is not None:
+            write_atomic(place / "pareto.csv", table(front).encode())
+            front_figure(front, place / "pareto.png")
+    return front
+
+
+def _front(spec: TuneSpec, place: Path | None, progress: bool, z: np.ndarray | None) -> Front:
     if z is None:
         way = run_search(spec, place, progress)
         spec, z = msgspec.structs.replace(way.spec, pareto=spec.pareto), way.steps[-1].state.leader_z
@@ -97,17 +106,13 @@ def pareto(
     held = values.hard.max(axis=1) <= FEASIBLE
     columns = [goals.index(name) for name in limits]
     reached = np.where(floors, asked / values.hard, values.hard * asked)
-    front = Front(
+    return Front(
         limits,
         [spec.space.exact(row) if ok else None for row, ok in zip(starts, held, strict=True)],
         np.where(held, values.score, np.nan),
         np.where(held[:, None], reached[:, columns], np.nan),
         jax.tree.map(lambda field: np.where(held[:, None, None, None], field, np.nan), values.cells),
     )
-    if place is not None:
-        write_atomic(place / "pareto.csv", table(front).encode())
-        front_figure(front, place / "pareto.png")
-    return front
 
 
 def handed_on(state: SearchState, asked: np.ndarray, floors: np.ndarray) -> np.ndarray:

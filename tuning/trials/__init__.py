@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxmpc.files.alone import alone_in
 from jaxmpc.files.errors import InputError, counted
 from jaxmpc.files.foreign import read_bytes
 from jaxmpc.files.sealed import LARGEST, SealError, seal, unseal, write_atomic
@@ -62,13 +63,14 @@ def run(
         told: Hears of each block.
 
     Raises:
-        InputError: The count is out of bounds, or the folder holds blocks of another job or program.
+        InputError: The count is out of bounds, or the folder holds blocks of another job or program, or another process
+            works in it.
     """
     count = counted("trials", count, "10000 is usual.", 1, MOST)
     place = None if folder is None else Path(folder)
     blocks: list[Outcomes] = []
     lost, swinging = np.zeros((2, len(job.controllers)), int)
-    with progress("trials", count, "trials", show) as tick:
+    with alone_in(place), progress("trials", count, "trials", show) as tick:
         for first, found in _all_blocks(job, count, place):
             blocks.append(Outcomes(*(field[: count - first] for field in found)))
             lost += blocks[-1].lost.sum(axis=0)
@@ -90,7 +92,6 @@ def _all_blocks(job: Job, count: int, folder: Path | None) -> Iterator[tuple[int
         if found is None:
             found = next(computed)
             if folder is not None:
-                folder.mkdir(parents=True, exist_ok=True)
                 write_atomic(_file(folder, first), seal(_header(job, first), found._asdict()))
         yield first, found
 
