@@ -18,7 +18,7 @@ import msgspec
 
 from jaxmpc.files.errors import InputError
 from jaxmpc.files.foreign import LARGEST_JSON, LARGEST_RECORDING, json_of, read_bytes, read_text
-from jaxmpc.files.sealed import canonical_json, digest, write_atomic
+from jaxmpc.files.sealed import canonical_json, digest, write_atomic, write_first
 from sweeps.goal import SweepGoal
 from sweeps.plan import SCHEMA, Plan
 
@@ -115,7 +115,9 @@ def prepare_refined(folder: Path, spec: Mapping[str, Any], spec_hash: str) -> No
     """
     if not check_refined(folder, spec, spec_hash):
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomic(folder / "manifest.json", pretty({"schema": REFINED, "spec_hash": spec_hash, "spec": spec}))
+        begun = pretty({"schema": REFINED, "spec_hash": spec_hash, "spec": spec})
+        if not write_first(folder / "manifest.json", begun):
+            check_refined(folder, spec, spec_hash)
     (folder / "stages").mkdir(exist_ok=True)
 
 
@@ -150,12 +152,16 @@ def prepare(folder: Path, plan: Plan) -> None:
         InputError: See `check`.
         OSError: The folder cannot be written.
     """
-    there = read_manifest(folder) if check(folder, plan) else {}
-    folder.mkdir(parents=True, exist_ok=True)
-    goal = msgspec.to_builtins(plan.goal)
-    if there.get("goal") != goal:
-        manifest = {"schema": SCHEMA, "spec_hash": plan.spec_hash, **there, "goal": goal, "spec": plan.canonical}
-        write_atomic(folder / "manifest.json", pretty(manifest))
+    path, new = folder / "manifest.json", {"schema": SCHEMA, "spec_hash": plan.spec_hash}
+    own = {"goal": msgspec.to_builtins(plan.goal), "spec": plan.canonical}
+    if not check(folder, plan):
+        folder.mkdir(parents=True, exist_ok=True)
+        # Of several that begin now one does; to the others, of whatever spec, its folder is there.
+        if not write_first(path, pretty({**new, **own})):
+            check(folder, plan)
+    there = read_manifest(folder)
+    if there.get("goal") != own["goal"]:
+        write_atomic(path, pretty({**new, **there, **own}))
     for name, content in plan.files.items():
         path = folder / "recordings" / name.removeprefix("sha256:")
         path.parent.mkdir(exist_ok=True)

@@ -184,6 +184,35 @@ def write_atomic(path: Path, data: bytes | Iterable[bytes]) -> None:
         raise
 
 
+def write_first(path: Path, data: bytes) -> bool:
+    """Write a file that only one process may begin: whole, and never in the place of one that is there.
+
+    Args:
+        path: Of the file.
+        data: What it is to hold.
+
+    Returns:
+        Whether it was written; False where another is there, which may be another process's of this moment.
+
+    Raises:
+        OSError: See `write_atomic`.
+    """
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:50]}.")
+    os.close(handle)
+    try:
+        write_atomic(Path(name), data)
+        try:
+            os.link(name, path)
+        except FileExistsError:
+            return False
+        except OSError:
+            # A file system without links: as safe as a look beforehand is.
+            write_atomic(path, data)
+    finally:
+        os.unlink(name)
+    return True
+
+
 def _write_atomic(path: Path, data: bytes | Iterable[bytes]) -> None:
     # Of a name as long as can be a part, since the file's own must not become too long.
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:50]}.")

@@ -185,18 +185,18 @@ def test_environments_in_a_manifest_from_before_count(
 def test_two_hosts_that_begin_at_once_are_both_noted(
     spec: SweepSpec, finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, write, hosts = tmp_path / "run", store.write_atomic, ["another processor"]
+    folder, write, hosts = tmp_path / "run", store.write_first, ["another processor"]
 
-    def overtaken(path: Path, data: bytes) -> None:
-        if path.name == "manifest.json" and hosts:
+    def overtaken(path: Path, data: bytes) -> bool:
+        if hosts:
             # The other host does all of its work between this one's look at the folder and its manifest.
             other = hosts.pop()
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr("sweeps.machine.processor", lambda: other)
                 assert run(spec, folder).hash == finished[1].hash
-        write(path, data)
+        return write(path, data)
 
-    monkeypatch.setattr(store, "write_atomic", overtaken)
+    monkeypatch.setattr(store, "write_first", overtaken)
     assert run(spec, folder).hash == finished[1].hash
     assert [each["cpu"] for each in noted(folder)] == ["another processor", processor()]
 
@@ -295,3 +295,29 @@ def test_ctrl_c_keeps_what_is_finished(
     assert "run the same command again" in capsys.readouterr().err
     assert len(chunks(folder)) == 2
     assert run(spec, folder, chunk=32).hash == finished[1].hash
+
+
+def test_of_two_sweeps_that_begin_at_once_one_has_the_folder(
+    spec: SweepSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both have found nothing there; the chunks of both would lie in it, left out by the other in turn."""
+    first, second = make_plan(spec), make_plan(replace(spec, precision="float64"))
+    look = store._begun
+    for folder, begin in (
+        (tmp_path / "plain", lambda plan: store.prepare(tmp_path / "plain", plan)),
+        (tmp_path / "refined", lambda plan: store.prepare_refined(tmp_path / "refined", {}, plan.spec_hash)),
+    ):
+        begin(first)
+        manifest = (folder / "manifest.json").read_bytes()
+        looks = iter([False])
+        monkeypatch.setattr(store, "_begun", lambda path, looks=looks: next(looks, None) is not False and look(path))
+        with pytest.raises(InputError, match="of another spec"):
+            begin(second)
+        looks = iter([False])
+        monkeypatch.setattr(store, "_begun", lambda path, looks=looks: next(looks, None) is not False and look(path))
+        begin(first)
+        assert (folder / "manifest.json").read_bytes() == manifest
+        assert {path.name for path in folder.iterdir()} <= {"manifest.json", "chunks", "stages"}
+    monkeypatch.setattr(os, "link", Mock(side_effect=OSError(errno.EPERM, "no links here")))
+    store.prepare(tmp_path / "stick", first)
+    assert store.read_plan(tmp_path / "stick").spec_hash == first.spec_hash
