@@ -226,14 +226,17 @@ def describe(plan: Plan) -> str:
             )
             also = ", times the base" * axis.relative + ", zipped" * (len(factor) > 1)
             lines.append(f"  {axis.name:<11} {ends}, {points}, {axis.scale}{also}")
-    swept = {axis.name for axis in space.axes}
+    swept = {axis.name: axis.values for axis in space.axes}
     fixed = {k: v for k, v in plan.canonical["params"].items() if k not in swept}
     lines.append("  fixed       " + ", ".join(f"{k} {_short(v)}" for k, v in fixed.items() if k in PARAMETERS))
     if not np.isnan(plan.stiffness).any():
         lines.append(f"  stiffness   {', '.join(f'{k:g}' for k in plan.stiffness)} N/m")
+    worlds = swept.get("physics", (experiment["physics"],))
+    # On the arm it is never ideal, whatever stands there.
+    damping = experiment["damping"] if "linear" in worlds else "sampled"
     lines.append(
         f"  experiment  {experiment['physics']}, {experiment['duration']:g} s at {experiment['sampling_time']:g} s,"
-        f" {experiment['damping']} damping, motion {experiment['motion']['kind']}, {plan.canonical['precision']}"
+        f" {damping} damping, motion {experiment['motion']['kind']}, {plan.canonical['precision']}"
     )
     lines.append(f"  best        {plan.goal.text}")
     return "\n".join(lines)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxmpc.files.errors import InputError
-from sweeps.plan import make_plan
+from sweeps.plan import describe, make_plan
 from sweeps.spec import SweepSpec
 from sweeps.targets import read
 
@@ -252,3 +252,18 @@ def test_the_gallery_has_the_rows_that_it_says(path: Path) -> None:
     line = next(line for line in page.splitlines() if path.name in line)
     rows = line.split("|")[3].split(",")[0].split(" on ")[0].split(" in ")[0].replace(" ", "")
     assert len(make_plan(SweepSpec.from_toml(path)).rows) == int(rows)
+
+
+@pytest.mark.parametrize(
+    ("world", "axes", "path"),
+    [
+        ({"published": "table-1"}, {}, "ideal"),
+        ({"published": "table-1", "damping": "sampled"}, {}, "sampled"),
+        ({"published": "table-1-wam", "damping": "ideal"}, {}, "sampled"),
+        ({"published": "table-1"}, {"physics": ["wam"]}, "sampled"),
+    ],
+)
+def test_what_is_resolved_tells_the_damping_that_runs(world: dict[str, str], axes: dict[str, Any], path: str) -> None:
+    """An arm's is sampled, whatever its file says or leaves out."""
+    spec = SweepSpec.from_dict({"experiment": world, "sweep": {"kind": "grid", "axes": {"lam": [0.1, 0.2], **axes}}})
+    assert f", {path} damping, " in describe(make_plan(spec))
