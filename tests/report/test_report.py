@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS
+from jaxmpc.quantities import MARGINS, METRICS, PARAMETERS, Sense
 from jaxmpc.report.content import Measure, Report, measure
 from jaxmpc.report.influence import crossed, first_order, influence, stretches
 from jaxmpc.report.page import page, write_report
 from jaxmpc.report.payload import payload, quantised
+from jaxmpc.report.thinning import thinned
 from tests.report.made_up import FOREIGN, candidates, report
 
 VENDOR = Path(__file__).parents[2] / "jaxmpc" / "report" / "vendor"
@@ -156,6 +157,7 @@ def test_shares_of_a_whole_grid_are_those_of_its_own_analysis_of_variance() -> N
     assert crossed([a, 2.0 * a, b, twice])
     assert not crossed([a[1:], b[1:], twice[1:]])
     assert not crossed([np.arange(12.0), b])
+    assert not crossed([np.append(each, each[:1]) for each in (a, b)]), "one of the grid's rows is there once more"
 
 
 def test_rows_without_a_finite_value_count_as_bad() -> None:
@@ -163,6 +165,33 @@ def test_rows_without_a_finite_value_count_as_bad() -> None:
     lost = Measure("rms", "", "-", "", np.where(x > 0.5, np.nan, 1.0 + 0.001 * np.arange(200.0)), "metric", "ceiling")
     share = influence([Measure("x", "", "-", "", x, "parameter")], [lost])["rms"][0, 0]
     assert share > 0.9
+
+
+@pytest.mark.parametrize("sense", ["ceiling", "floor"])
+@pytest.mark.parametrize("level", [-2.0, 2.0])
+def test_what_is_lost_is_worse_than_the_worst_of_either_sign(sense: Sense, level: float) -> None:
+    """A quarter is lost: a value on the other side of the worst would cancel the difference."""
+    x, good = np.repeat([0.0, 1.0], 100), level + (0.2 if sense == "floor" else -0.2)
+    found = np.where(x > 0.5, level, good)
+    found[100:150] = np.nan
+    rows = [Measure("x", "", "-", "", x, "parameter")]
+    share = influence(rows, [Measure("value", "", "-", "", found, "metric", sense)])["value"][0, 0]
+    beyond = 2.0 * level if (sense == "floor") == (level < 0.0) else 0.5 * level
+    scored = np.where(np.isnan(found), beyond, found)
+    scored = np.log(scored) if level > 0.0 else scored
+    groups = [scored[:100].mean(), scored[100:].mean()]
+    assert share == pytest.approx(np.var(groups) / np.var(scored), abs=0.02)
+
+
+def test_no_peak_is_thinned_out_and_a_gap_stays_one() -> None:
+    x, y = np.arange(10_000.0), np.sin(np.arange(10_000.0))
+    y[4321], y[8765], y[2000:2100] = 9.0, -9.0, np.nan
+    across, found = thinned(x, y, 200)
+    assert len(found) < 220
+    assert np.all(np.diff(across) >= 0.0)
+    assert {9.0, -9.0} <= {*found.tolist()}
+    assert np.isnan(found[(across >= 2000.0) & (across < 2100.0)]).any()
+    assert across[-1] == x[-1]
 
 
 def test_the_library_and_its_licences_are_there() -> None:
