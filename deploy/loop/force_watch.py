@@ -51,6 +51,11 @@ class ForceWatch:
         """All that disturbs the joints, by their motion [N m]; 0 where the motors tell nothing."""
         return (0.0, 0.0, 0.0, 0.0) if self._estimate is None else self._estimate.disturbance
 
+    @property
+    def read(self) -> Vector4:
+        """What the force that is read explains of it [N m]: the disturbance is minus that, and what nobody knows."""
+        return (0.0, 0.0, 0.0, 0.0) if self._estimate is None else self._estimate.read
+
     def judge(self, state: OperatingState, sample: ForceSample, driven: bool, missed: bool) -> Reason:
         """Reason not to believe the sensor, NONE if there is none.
 
@@ -79,7 +84,7 @@ class ForceWatch:
         if missed:
             estimate.skip(qd)
             return Reason.NONE
-        told = estimate.step(q, qd, torque)
+        told = estimate.step(q, qd, torque, force)
         approaching = state is OperatingState.APPROACH
         if not (approaching or state is OperatingState.CONTACT):
             return Reason.NONE

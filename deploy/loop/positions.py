@@ -1,7 +1,6 @@
 """Joint angles from the encoders of each cycle: those that are believed, and how old the oldest of them is."""
 
 from collections.abc import Callable
-from math import hypot
 
 from deploy.loop.force_watch import ForceWatch
 from deploy.safety.machine import BRIDGED, OperatingState, SafetyState, Task
@@ -32,7 +31,7 @@ class Positions:
         self._pucks, self._T_s, self._velocity = arm.pucks, T_s, velocity
         self._counts_per_turn = tuple(info.counts_per_turn for info in arm.pucks.infos)
         self._bridge, self._state, self._age = EncoderBridge(arm.counts), EncoderState(), [0] * 4
-        self._unmoved = -1
+        self._unmoved, self._withdrawing, self._state_before = -1, 0, OperatingState.IDLE
         self.q = arm.pucks.angles(arm.counts)
 
     @property
@@ -81,6 +80,9 @@ class Positions:
             force: Measured force on the tissue [N]; None where there is none.
         """
         self._unmoved = -1
+        # Not those of the state itself, which begin again with another reason.
+        self._withdrawing = self._withdrawing + 1 if now.state is self._state_before else 0
+        self._state_before = now.state
         if task in (Task.RETRACT, Task.HOLD) and now.state is not OperatingState.ARMED:
-            push = None if force is None or now.reason is Reason.FORCE_MODEL else hypot(*force)
-            self._unmoved = unmoved(self._state.still, watch.disturbance, push, now.cycles, self._T_s)
+            read = None if force is None or now.reason is Reason.FORCE_MODEL else watch.read
+            self._unmoved = unmoved(self._state.still, watch.disturbance, read, self._withdrawing, self._T_s)

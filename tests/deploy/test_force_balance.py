@@ -132,3 +132,22 @@ def test_the_motors_tell_a_known_force_on_an_arm_that_moves(arm_artifact, moving
     np.testing.assert_allclose(found[-1], force, atol=0.35 if moving else 1e-3)
     rising = np.array(found)[:, 2] / force[2]
     assert 0.4 < rising[round(1.0 / (BANDWIDTH * T_S))] < 0.85  # some 10 ms late
+
+
+def test_the_force_that_is_read_is_told_as_late_as_what_the_motors_tell(arm_artifact):
+    """Against the tip's place by differences; a force that is gone explains nothing some 10 ms later."""
+    model, force = arm_artifact.arm, np.array((3.0, -2.0, -6.0))
+    estimate, chain = ForceEstimate(model, flown_controller(arm_artifact)[0].measurement), model.chain
+    q, step = np.array(POSTURE) + 0.1, 1e-6
+
+    def place(q):
+        return np.array(tip(chain, pose(chain, tuple(q.tolist()), FLOATS)).position)
+
+    whole = [force @ (place(q + step * e) - place(q - step * e)) / (2.0 * step) for e in np.eye(4)]
+    none, samples = (0.0,) * 4, round(1.0 / (BANDWIDTH * T_S))
+    for reading, share in ((tuple(force.tolist()), 1.0 - np.exp(-1.0)), (None, np.exp(-1.0) * (1.0 - np.exp(-1.0)))):
+        for _ in range(samples):
+            estimate.step(tuple(q.tolist()), none, none, reading)
+        np.testing.assert_allclose(estimate.read, share * np.array(whole), rtol=0.06, atol=1e-9)
+    estimate.start(none)
+    assert estimate.read == none

@@ -20,7 +20,7 @@ class Estimate:
     """The motors' word, as a test has it; keeps what it was asked."""
 
     def __init__(self):
-        self.told, self.asked = ZERO, []
+        self.told, self.asked, self.heard = ZERO, [], []
 
     def start(self, qd):
         self.asked.append("start")
@@ -28,8 +28,9 @@ class Estimate:
     def skip(self, qd):
         self.asked.append("skip")
 
-    def step(self, q, qd, torque):
+    def step(self, q, qd, torque, force):
         self.asked.append("step")
+        self.heard.append(force)
         return self.told
 
 
@@ -68,6 +69,8 @@ def test_elsewhere_the_motors_are_heard_and_not_judged(watch):
         assert set(watch.all(10, state=state)) == {Reason.NONE}
     assert watch.estimate.asked == ["step"] * 10 * len(NOT_JUDGED)
     assert watch.made.balance == BalanceState()
+    watch(OperatingState.RETRACT, force=UP)
+    assert watch.estimate.heard[-1] == UP  # what the tissue does there is explained by it
 
 
 def test_an_arm_that_is_not_driven_tells_nothing_and_its_estimate_begins_anew(watch):
