@@ -31,6 +31,7 @@ class Positions:
         self._pucks, self._T_s, self._velocity = arm.pucks, T_s, velocity
         self._counts_per_turn = tuple(info.counts_per_turn for info in arm.pucks.infos)
         self._bridge, self._state, self._age = EncoderBridge(arm.counts), EncoderState(), [0] * 4
+        self._unbridged = 0  # cycles since the bridge was asked
         self._unmoved, self._withdrawing, self._state_before = -1, 0, OperatingState.IDLE
         self.q = arm.pucks.angles(arm.counts)
 
@@ -58,8 +59,10 @@ class Positions:
             self._age[i] = cycles + missed if cycles else 0
         age = max(self._age)
         oldest = culprit if reason is not None else self._age.index(age)
+        self._unbridged += 1 + missed
         if age <= BRIDGED:
-            for between in self._bridge.take(counts, missed):
+            out, self._unbridged = self._unbridged - 1, 0
+            for between in self._bridge.take(counts, out):
                 q = self._pucks.angles(between)
                 if between is not self._bridge.counts:
                     self._velocity(q)

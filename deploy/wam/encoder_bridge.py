@@ -13,7 +13,7 @@ class EncoderBridge:
     def __init__(self, counts: Sequence[int]) -> None:
         """Begin at rest."""
         self.counts: tuple[float, ...] = tuple(map(float, counts))
-        self._rate = [0.0] * 4
+        self._told, self._since, self._rate = list(self.counts), [0] * 4, [0.0] * 4
 
     def take(self, counts: Sequence[int | None], missed: int = 0) -> Iterator[tuple[float, ...]]:
         """The counts of this cycle, after those of the cycles that were missed before it.
@@ -25,8 +25,11 @@ class EncoderBridge:
         before, cycles = self.counts, missed + 1
         now = []
         for i, each in enumerate(counts):
+            self._since[i] += cycles
             if each is not None:
-                self._rate[i] = (each - before[i]) / cycles
+                # From what was told last: what stood in for it since is only as good as the rate before.
+                self._rate[i] = (each - self._told[i]) / self._since[i]
+                self._told[i], self._since[i] = float(each), 0
             now.append(before[i] + cycles * self._rate[i] if each is None else float(each))
         self.counts = tuple(now)
         for k in range(1, cycles):

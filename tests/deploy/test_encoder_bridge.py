@@ -26,3 +26,25 @@ def test_over_missed_cycles_counts_go_in_even_steps_and_the_rate_is_that_of_a_cy
         (6.0, 8.0, -3.0, 0.0),
     ]
     assert list(bridge.take((None,) * 4)) == [(8.0, 10.0, -4.0, 0.0)]
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_what_was_made_up_for_a_lost_reply_is_no_place_to_measure_a_rate_from(lost):
+    """Taken for one it doubled the rate at every second or third reply, with the motor at rest."""
+    bridge = EncoderBridge((0, 0, 0, 0))
+    list(bridge.take((8, 0, 0, 0)))
+    for _ in range(20):
+        for _ in range(lost):
+            list(bridge.take((None, 0, 0, 0)))
+        assert abs(bridge.counts[0] - 8.0) <= 8.0 * lost
+        list(bridge.take((8, 0, 0, 0)))
+        assert bridge.counts[0] == 8.0
+    list(bridge.take((None, 0, 0, 0)))
+    assert bridge.counts[0] == 8.0
+
+
+def test_a_motor_that_turns_evenly_is_met_where_it_is_whatever_is_lost():
+    bridge = EncoderBridge((0, 0, 0, 0))
+    for k in range(1, 60):
+        list(bridge.take((3 * k if k < 3 or k % 5 == 0 else None, 0, 0, 0)))
+        assert bridge.counts[0] == 3.0 * k

@@ -1,7 +1,8 @@
-"""What is believed of the encoders, cycle by cycle: since when the tip withdraws."""
+"""What is believed of the encoders, cycle by cycle: since when the tip withdraws, gaps."""
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from deploy.loop.positions import Positions
@@ -61,3 +62,20 @@ def test_what_was_found_to_lie_explains_nothing(positions):
 def test_an_arm_that_is_armed_may_be_leant_on(positions):
     assert found(positions, [OperatingState.ARMED] * 600, (0.0,) * 4, Reason.NONE, Task.HOLD) == -1
     assert found(positions, [OperatingState.STOPPED] * 600, (0.0,) * 4, Reason.FINISHED, Task.HOLD) > 0
+
+
+@pytest.mark.parametrize("gap", [2, 3, 7])
+def test_an_even_motion_has_its_speed_after_a_gap_however_long(gap):
+    """Positions that are too old to control are left out; their cycles are none of a motor's leaps."""
+    heard = []
+    infos = (SimpleNamespace(counts_per_turn=4096),) * 4
+    pucks = SimpleNamespace(infos=infos, angles=lambda counts: tuple(1e-4 * each for each in counts))
+    positions = Positions(SimpleNamespace(pucks=pucks, counts=(0,) * 4), T_S, heard.append)
+    for k in range(1, 100):
+        counts = (None if 50 <= k < 50 + gap else 5 * k, 3 * k, 0, 0)
+        _, age, _ = positions.take(SimpleNamespace(counts=counts, position_age=(0,) * 4), 0)
+        if age <= 2:
+            heard.append(positions.q)
+    steps = np.diff(np.array(heard), axis=0)
+    np.testing.assert_allclose(steps, np.broadcast_to((5e-4, 3e-4, 0.0, 0.0), steps.shape), atol=1e-9)
+    assert len(heard) == 99
