@@ -155,6 +155,8 @@ class Cycle:
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
         state = self.safety_state.state
+        if danger is Reason.NONE and self._swings(qd):
+            danger = Reason.JOINT_VELOCITY
         if state is OperatingState.ARMED and self._posture is not None and (where := displaced(q, self._posture)):
             doubt, detail = Reason.POSTURE, detail or where
         if state in (OperatingState.CONTACT, OperatingState.RETRACT) and force is not None:
@@ -179,6 +181,16 @@ class Cycle:
         )
         self.safety_state = machine.step(self.safety_state, observed, self._waits)
         return self._send(q, qd, kinematics, force, age)
+
+    def _swings(self, qd: Vector4) -> bool:
+        """Whether a joint is beyond its velocity limit after a run that went well, as one of a late encoder may be.
+
+        The checker refuses nothing for the speed of an arm that is withdrawn or held, so nobody else would tell.
+        """
+        now = self.safety_state
+        over = now.state in (OperatingState.RETRACT, OperatingState.STOPPED) and not now.let_go
+        well = now.reason in (Reason.FINISHED, Reason.OPERATOR)
+        return over and well and any(abs(v) > most for v, most in zip(qd, self.limits.joint_velocity, strict=True))
 
     def _send(self, q: Vector4, qd: Vector4, kinematics: TipKinematics, force: Vector3 | None, age: int) -> CycleResult:
         """Result with the frame of the task, or of the lesser task that a refusal leads to."""
