@@ -18,7 +18,7 @@ from tuning.trials.drawn import Job
 
 TISSUES = 33
 """Stiffnesses, log-spaced, at which they are judged; a family's known ones where freezing judges them."""
-COLUMNS = ("controller", "delay", "M_s", "at N/m", "GM dB", "PM °", "DM ms", "M_s presliding", "at N/m")
+COLUMNS = ("controller", "delay", "M_s", "at N/m", "GM up / down dB", "PM °", "DM ms", "M_s presliding", "at N/m")
 
 
 @on_cpu()
@@ -52,7 +52,7 @@ def _of_known(params: Params, base: Experiment, job: Job) -> list[str]:
 
 def _told(found: Margins, tissues: np.ndarray) -> list[str]:
     up, down, phase, late = (float(np.min(np.asarray(field))) for field in found[1:5])
-    rest = f"{number(up, 1)} / −{number(down, 1)}", number(phase, 0), number(1e3 * late, 1)
+    rest = f"{number(up, 1)} / {number(down, 1)}", number(phase, 0), number(1e3 * late, 1)
     return [*_peak(np.asarray(found.M_s), tissues), *rest]
 
 
