@@ -25,8 +25,9 @@ from deploy.loop.cycle import CycleResult, OperatorCommand
 from deploy.safety.force_balance import HIDDEN, PUSH
 from deploy.safety.late_force import LATE
 from deploy.safety.machine import OperatingState
-from deploy.safety.plausible import FORCE_JUMP
+from deploy.safety.plausible import FORCE_JUMP, STUCK
 from deploy.safety.runaway import ASKED
+from deploy.safety.unmoved import shares
 from deploy.twin.flight import Pilot, started
 from deploy.twin.lockstep import LockstepClock
 from deploy.twin.scenario import HEARTS, RHYTHMS, SCENARIOS, twin_settings
@@ -44,9 +45,11 @@ BOUNDS = {
     "jump": FORCE_JUMP,
     "late": LATE,
     "overshoot": ROWS["overshoot"].default,
+    "unmoved": 1.0,
 }
 """What a flight is ended at: push that friction does not explain [N], push beyond the air's [N], acceleration asked of
-the tip [m/s²], change of the force from one sample to the next [N], its lag [s], measured push over the wanted [-]."""
+the tip [m/s²], change of the force from one sample to the next [N], its lag [s], measured push over the wanted [-], and
+what pushes a motor that stands still on the way out over what it bears [-]."""
 
 
 def flown(path: Path, number: int) -> dict[str, Any]:
@@ -68,6 +71,10 @@ def flown(path: Path, number: int) -> dict[str, Any]:
             if force is not None and last[0] is not None:
                 seen["jump"] = max(abs(new - old) for new, old in zip(force, last[0], strict=True))
             most.update({name: max(most[name], value) for name, value in seen.items()})
+        elif result.safety_state.state in (OperatingState.RETRACT, OperatingState.STOPPED) and force is not None:
+            watch, still = session.cycle.watch, session.cycle.positions.still
+            pushed = zip(still, shares(watch.disturbance, watch.read), strict=True)
+            most["unmoved"] = max(most["unmoved"], *(share for samples, share in pushed if samples >= STUCK - 1), 0.0)
         last[0] = force  # type: ignore[call-overload]  # None at first
         return pilot(result)
 
@@ -91,7 +98,7 @@ def report(rows: list[dict[str, Any]]) -> int:
             if mine:
                 worst = max(mine, key=lambda row: float(row[name]))
                 where = f"{worst['rhythm']}, {worst['tissue']} {worst['stiffness']:g} N/m, {worst['wanted']:g} N"
-                print(f"  {name:<7}{'heavy' if heavy else 'usual':<6} {worst[name]:8.4f} of {bound:g}: {where}")
+                print(f"  {name:<10}{'heavy' if heavy else 'usual':<6} {worst[name]:8.4f} of {bound:g}: {where}")
     return len(alarms)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from deploy.runtime.arm import ArmRuntime
 from jaxmpc.law import entry, force_control
+from jaxmpc.law.cascade import AxisState
 from jaxmpc.law.force_control import Controller
 from jaxmpc.law.gains import GainSchedule
 from jaxmpc.law.ops import FLOATS
@@ -52,8 +53,7 @@ def torques(controller: Controller, compensated: bool, trace: Sequence[Sample], 
         state = entry.enter(controller, at_rest, tuple(force), (0.0, 0.0, 0.0), FLOATS)
         found.append([])
         for q, force, wanted in trace[-SAMPLES:]:
-            known = {"log_stiffness": knot.log_stiffness, "authority": 1.0}
-            x, y, z = (axis._replace(tissue=axis.tissue._replace(**known)) for axis in state.axes)  # type: ignore[union-attr]
+            x, y, z = (_knowing(axis, knot.log_stiffness) for axis in state.axes)
             ahead = wanted if preview else [(axis,) for axis in wanted]
             present, ahead = split(ahead, len(controller.gains.mpc_ref))
             before = state._replace(axes=(x, y, z))
@@ -77,6 +77,11 @@ def replayed(runtime: ArmRuntime, schedule: GainSchedule, trace: Sequence[Sample
             runtime.believe(knot.log_stiffness)
             found[-1].append(runtime.control(q, runtime.velocity(q), force, wanted))
     return np.array(found)
+
+
+def _knowing(axis: AxisState, log_stiffness: float) -> AxisState:
+    assert axis.tissue is not None
+    return axis._replace(tissue=axis.tissue._replace(log_stiffness=log_stiffness, authority=1.0))
 
 
 def _schedule(controller: Controller) -> GainSchedule:

@@ -40,6 +40,11 @@ class Positions:
         """Age of each motor's last believed position (4,) [cycles]; one that was refused has not come."""
         return tuple(self._age)
 
+    @property
+    def still(self) -> tuple[int, ...]:
+        """Samples in a row in which each motor has told the same, less one (4,)."""
+        return self._state.still
+
     def take(self, reading: Reading, missed: int) -> tuple[Reason, int, int]:
         """Take those of a cycle.
 

@@ -42,11 +42,17 @@ def unmoved(still: Sequence[int], disturbance: Vector4, read: Vector4 | None, wi
         withdrawing: Samples since the tip began to withdraw, or was held after it.
         T_s: Sampling time [s].
     """
-    pushed, tissue = (apply_transposed(MOTOR_TO_JOINT, each) for each in (disturbance, read or _NONE))
-    for i, samples in enumerate(still):
+    for i, (samples, share) in enumerate(zip(still, shares(disturbance, read), strict=True)):
         least = STUCK - 1
         if read is None:
             samples, least = min(samples, withdrawing), cycles(LEFT[i], T_s)
-        if samples >= least and not abs(pushed[i]) <= FRICTIONS * _FRICTION[i] + abs(tissue[i]):
+        if samples >= least and not share <= 1.0:
             return i
     return -1
+
+
+def shares(disturbance: Vector4, read: Vector4 | None) -> tuple[float, ...]:
+    """How much of what it bears without a motion pushes each motor (4,) [-]; the arguments are those of `unmoved`."""
+    pushed, tissue = (apply_transposed(MOTOR_TO_JOINT, each) for each in (disturbance, read or _NONE))
+    each = zip(pushed, tissue, _FRICTION, strict=True)
+    return tuple(abs(torque) / (FRICTIONS * friction + abs(told)) for torque, told, friction in each)

@@ -3,7 +3,9 @@
 import importlib
 import sys
 from collections.abc import Iterator
+from concurrent.futures import wait
 from pathlib import Path
+from threading import Event
 from typing import Any, NamedTuple
 
 import jax
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 
 from jaxmpc import Experiment, Params, closed_loops, evaluation
+from jaxmpc.beside import Beside
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.xla import store
 from jaxmpc.xla.blocks import OverBlocks, OverDevices
@@ -270,3 +273,37 @@ def test_all_of_an_evaluation_can_be_kept(folder: Path, name: str) -> None:
     assert outcome.metrics.rms.shape == (3, 3)
     assert outcome.trace.force.shape == (3, 3, experiment.steps)
     assert len(list(folder.iterdir())) == 4
+
+
+def test_threads_trace_one_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And do not wait for ever for one that may wait for them."""
+    entered, leave = Event(), Event()
+
+    def first() -> None:
+        with store._in_turn(), store._in_turn():  # what traces may trace more
+            entered.set()
+            leave.wait(10.0)
+
+    def second() -> bool:
+        with store._in_turn():
+            return leave.is_set()
+
+    with Beside(2) as threads:
+        tracing = threads.submit(first)
+        assert entered.wait(10.0)
+        waiting = threads.submit(second)
+        assert not wait([waiting], timeout=0.05).done
+        leave.set()
+        assert waiting.result(10.0)
+        tracing.result(10.0)
+        monkeypatch.setattr(store, "PATIENCE", 0.01)
+        entered.clear()
+        leave.clear()
+        tracing = threads.submit(first)
+        assert entered.wait(10.0)
+        assert not threads.submit(second).result(10.0)
+        leave.set()
+        tracing.result(10.0)
+    with store._in_turn():
+        assert store._turn.acquire(blocking=False)  # nobody has kept it
+        store._turn.release()

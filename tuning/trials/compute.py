@@ -79,7 +79,7 @@ def outcomes_of(job: Job, firsts: Sequence[int]) -> Iterator[Outcomes]:
     with Beside(len(devices)) as running, Beside(1) as judging:
         ran, judged = deque[Future[Outcomes]](), deque[Future[list[Outcomes]]]()
         if not on_cpu:
-            # While the first wave is made. Of two programs that are traced at a time both wait, else they do not.
+            # While the first wave is made; its program is traced first, since two at a time make each other late.
             traced = running.submit(_traced, programs, (_sent(_blank(constants), devices[0]),) * size)
             running.submit(lambda: [finish() for finish in traced.result()])
             judging.submit(_rehearsed, job, len(waves[0]) * drawn.BLOCK, traced)
