@@ -21,7 +21,7 @@ from jaxmpc.law.transmission import MOTOR_TO_JOINT
 from jaxmpc.law.vectors import Vector4
 
 FRICTIONS = 3.0
-"""How often the usual friction no joint bears without a motion: healthy motors came to 0.64 of the bound, with twice
+"""How often the usual friction no joint bears without a motion: healthy motors came to 0.67 of the bound, with twice
 the friction and a tenth more mass to 0.73, and with twice the friction and a tool 0.3 kg heavier than its model to
 0.98."""
 LEFT: Vector4 = (0.3, 0.1, 0.1, 0.3)
