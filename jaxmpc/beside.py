@@ -39,7 +39,7 @@ class Apart:
         context = get_context("spawn")
         self._answer, answer = context.Pipe(duplex=False)
         self._process = context.Process(target=_answered, args=(answer, function, arguments), daemon=True)
-        with _unheard():
+        with unheard():
             self._process.start()
         answer.close()
 
@@ -59,10 +59,7 @@ class Apart:
             ChildProcessError: The process has ended before, as by a lack of memory.
         """
         try:
-            # Python hears a Ctrl-C between two of its own steps: one that strikes just before a wait is heard after it.
-            while not self._answer.poll(timeout=1.0):
-                continue
-            failed, found = self._answer.recv()
+            failed, found = heard(self._answer)
         except EOFError:
             self._process.join()
             raise ChildProcessError(f"a process has ended with code {self._process.exitcode}") from None
@@ -79,13 +76,25 @@ def forks_of(module: str) -> BaseContext:
     """
     context = get_context("forkserver")
     context.set_forkserver_preload([module])
-    with _unheard():
+    with unheard():
         forkserver.ensure_running()
     return context
 
 
+def heard(sender: Connection) -> Any:
+    """What another process sends, once it does.
+
+    Raises:
+        EOFError: It has ended.
+    """
+    # Python hears a Ctrl-C between two of its own steps: one that strikes just before a wait is heard after it.
+    while not sender.poll(timeout=1.0):
+        continue
+    return sender.recv()
+
+
 @contextmanager
-def _unheard() -> Iterator[None]:
+def unheard() -> Iterator[None]:
     """Within it, processes begin that do not hear Ctrl-C, which strikes all of a terminal: they are told to end."""
     # What looks after their memory goes first: to begin that lets this thread hear Ctrl-C again.
     resource_tracker.ensure_running()

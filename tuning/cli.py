@@ -38,6 +38,9 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
+    from jaxmpc.tracers import trace_apart
+
+    trace_apart()
     from jaxmpc.xla.place import wake_beside
 
     wake_beside()

@@ -38,6 +38,7 @@ class JitOnce:
     def __init__(self, function: Callable[..., Any], static_argnames: Sequence[str] = ()) -> None:
         """Wrap a traceable function; `static_argnames` as in `jax.jit`."""
         self._function, self._static = function, tuple(static_argnames)
+        self.__wrapped__ = function
         self._plain = jax.jit(function, static_argnames=self._static)
         self._kept: dict[str, store.Kept | None] = {}
         self._by_platform: dict[str, Any] = {}

@@ -37,6 +37,7 @@ PATIENCE = 20.0
 """Longest wait of a thread for another's tracing [s]: beyond it, one of them may wait for what the other holds."""
 
 _folder: Path | None = None
+_tracers: Callable[[str, Callable[..., Any], dict[str, Any], dict[str, Any]], None] | None = None
 _turn = RLock()
 
 
@@ -60,6 +61,17 @@ def keep_in(folder: Path | None) -> None:
     if folder is not None:
         # Now: a source that changes while the process runs is not the one that it has imported.
         source_of("jaxmpc")
+
+
+def kept_in() -> Path | None:
+    """Where programs are kept; None is nowhere."""
+    return _folder
+
+
+def trace_with(tracers: Callable[[str, Callable[..., Any], dict[str, Any], dict[str, Any]], None] | None) -> None:
+    """Have others trace (`jaxmpc.tracers`), or nobody: for entry points alone."""
+    global _tracers
+    _tracers = tracers
 
 
 def name_of(function: Callable[..., Any], arguments: dict[str, Any], static: dict[str, Any]) -> str | None:
@@ -117,10 +129,11 @@ def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], 
     assert _folder is not None
     path = _folder / f"{name}.npz"
     leaves, tree = jax.tree.flatten(arguments)
-    try:
-        header, arrays = unseal(path.read_bytes())
-        monitoring.record_event_duration_secs(SAVED, header.get("traced_s", 0.0))
-    except (OSError, SealError):
+    found, event = _kept_in(path), SAVED
+    if found is None and _tracers is not None:
+        _tracers(name, function, arguments, static)
+        found, event = _kept_in(path), TRACED
+    if found is None:
         try:
             with _in_turn():
                 began = time.perf_counter()
@@ -129,17 +142,27 @@ def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], 
         # Of any type: what cannot be exported is then traced in the ordinary way, which says what is wrong if need be.
         except Exception:
             return None
-        monitoring.record_event_duration_secs(TRACED, header["traced_s"])
+        found, event = (header, arrays), TRACED
         # A full disk costs the next run its tracing, nothing more.
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(path, seal(header, arrays))
+    header, arrays = found
+    monitoring.record_event_duration_secs(event, header.get("traced_s", 0.0))
     shapes = header["leaves"]
     # JAX's own file format asks for one more package; all of an exported program but the module follows from its types.
     # Should a JAX no longer take a module so, test_second_process_traces_nothing_and_finds_the_same_bits fails.
     zeros = jax.jit(lambda *_: [jnp.zeros(*leaf) for leaf in shapes], keep_unused=True)
     like = export.export(zeros, platforms=_platforms())(*leaves)
     return Kept(replace(like, mlir_module_serialized=arrays["module"].tobytes()).call, header["result"])
+
+
+def _kept_in(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Header and arrays of a program's file; None where it is missing or damaged."""
+    try:
+        return unseal(path.read_bytes())
+    except (OSError, SealError):
+        return None
 
 
 def assembled(result: Any, leaves: Iterator[Any]) -> Any:

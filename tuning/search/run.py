@@ -1,9 +1,8 @@
 """The way to a controller: a descent from many points; for the arm it is one on spectra, and then the arm runs."""
 
 from collections.abc import Callable
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ from jaxmpc.xla.precision import in_float64
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
 from tuning.search.ahead import Tasks, readied, threads
-from tuning.search.mapping import PROPOSED, refine
+from tuning.search.mapping import PROPOSED, refine, spectra_of
 from tuning.search.optimise import descend, schedule
 from tuning.search.state import SearchState, check_states
 
@@ -80,15 +79,21 @@ def run_search(
     with threads() if pool is None else nullcontext(pool) as pool:
         pool.submit(wake)
 
+        ahead: list[Future[Problem]] = []
+
         def described(job: TuneSpec) -> Problem:
-            """What the descent descends on; its program compiles from when its shapes are known."""
-            compiled = in_float64(partial(Problem.compile_slopes, starts=_starts(job)))
+            """What the descent descends on; programs compile from when their shapes are known."""
+
+            def begun(problem: Problem) -> None:
+                pool.submit(in_float64(problem.compile_slopes), _starts(job))
+                # Of several, nobody knows which will win.
+                if job.on_arm and len(jobs) == 1:
+                    ahead.append(readied(job, problem, pool, after))
+
             met = training(job, job.tune.train_seeds)
-            return problem_of(job, met, spectral=job.on_arm, begun=partial(pool.submit, compiled))
+            return problem_of(job, met, spectral=job.on_arm, begun=begun)
 
         problems = [*map(described, jobs)]
-        # Of several, nobody knows which will win.
-        ahead = readied(jobs[0], problems[0], pool, after) if spec.on_arm and len(jobs) == 1 else None
         firsts = [proposal(job, problem, folder, show) for job, problem in zip(jobs, problems, strict=True)]
         orders = {
             int(job.params.disturbance_order): float(one.state.best.min())
@@ -99,7 +104,8 @@ def run_search(
         best = reached.index(min(reached))
         job, steps = jobs[best], [firsts[best]]
         if job.on_arm:
-            runs, spectra = (ahead or readied(job, problems[best], pool, after)).result()
+            runs = (ahead or [readied(job, problems[best], pool, after)])[0].result()
+            spectra = spectra_of(job, problems[best], runs.data.reference)
             z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)
             state = refine(job, runs, spectra, z, folder, _file("mapping", job), show)
             steps.append(Step("mapping", runs, state, spectra))

@@ -60,6 +60,9 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.terminal.tables import show
 
     use_all_cores()
+    from jaxmpc.tracers import trace_apart
+
+    trace_apart()
     from jaxmpc.beside import Beside, forks_of
 
     if may_have_a_gpu():
