@@ -135,7 +135,7 @@ def torques(artifact: Artifact) -> np.ndarray:
 
 def law(artifact: Artifact) -> str:
     """All that its torques depend on."""
-    arm = None if artifact.arm is None else {k: v for k, v in vars(artifact.arm).items() if k not in (*GOLDEN, KNOWN)}
+    arm = None if artifact.arm is None else {k: v for k, v in vars(artifact.arm).items() if k not in (*GOLDEN, *KNOWN)}
     return exact((artifact.gains, artifact.T_s, artifact.K2, artifact.preview, artifact.loop, arm))
 
 

@@ -35,8 +35,8 @@ TOOL = (-2.0, 12.0)
 much, and is believed in up to twice."""
 FRICTION: Mapping[str, tuple[int, ...]] = {"coulomb": (4,), "viscous": (4,), "presliding": ()}
 GOLDEN = ("golden_q", "golden_applied", "golden_torque")
-KNOWN = "golden_known"
-"""The array that a controller with a schedule has besides."""
+KNOWN = ("golden_known", "golden_memory")
+"""The arrays that a controller with a schedule has besides."""
 MEANING: Mapping[str, str] = {
     "robot": "the name of the arm that it may drive",
     "chain": "masses and geometry of the links",
@@ -67,8 +67,9 @@ class ArmModel:
         golden_applied: Joint torques (n, 4) [N m] that the observers were told of after each sample.
         golden_torque: What the JAX law wanted (n, 4) [N m].
         momentum_observer: Bandwidth of the observer that cancels what disturbs the joints' momentum [rad/s]; 0 is none.
-        golden_known: What the law wanted with the gains of each knot of a schedule in control (knots, m, 4) [N m], as
-            `known_tissue` has it; None without a schedule.
+        golden_known: What the law wanted with each stiffness of `known_tissue` taken for known (knots + 2, m, 4) [N m];
+            None without a schedule.
+        golden_memory: All that it remembered after the last of these samples (knots + 2, numbers); None likewise.
 
     Raises:
         InputError: A value is malformed, out of range, or not the named robot's.
@@ -87,6 +88,7 @@ class ArmModel:
     golden_torque: np.ndarray
     momentum_observer: float = 0.0
     golden_known: np.ndarray | None = None
+    golden_memory: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.robot != ROBOT:
@@ -111,8 +113,9 @@ class ArmModel:
             "golden_applied": array("golden_applied", self.golden_applied, (len(q), 4)),
             "golden_torque": array("golden_torque", self.golden_torque, (len(q), 4)),
         }
-        if self.golden_known is not None:
-            checked |= {KNOWN: array(KNOWN, self.golden_known, (None, None, 4))}
+        for name, shape in zip(KNOWN, ((None, None, 4), (None, None)), strict=True):
+            if getattr(self, name) is not None:
+                checked |= {name: array(name, getattr(self, name), shape)}
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         self._check_robot()
@@ -149,7 +152,7 @@ class ArmModel:
 
     def plain(self) -> dict[str, Any]:
         """Everything but the trace, as plain data; an observer that is none is left out."""
-        without = (*GOLDEN, KNOWN) if self.momentum_observer else (*GOLDEN, KNOWN, "momentum_observer")
+        without = (*GOLDEN, *KNOWN) if self.momentum_observer else (*GOLDEN, *KNOWN, "momentum_observer")
         table = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in without}
         links = [link._asdict() for link in self.chain.links]
         nominal = self.nominal._asdict() | {"friction": self.nominal.friction._asdict()}
@@ -172,7 +175,7 @@ class ArmModel:
         missing = [name for name in GOLDEN if name not in golden]
         if missing:
             raise InputError(missing[0], "missing", "given: the trace tells whether the torques are right", AGAIN)
-        trace = {name: golden[name] for name in GOLDEN} | {KNOWN: golden.get(KNOWN)}
+        trace: dict[str, Any] = {name: golden.get(name) for name in (*GOLDEN, *KNOWN)}
         return cls(**(known | {"limits": Limits.from_plain(known["limits"])}), **trace)
 
 

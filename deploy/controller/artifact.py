@@ -10,7 +10,7 @@ from deploy.controller import frozen_gains, judged_loop, margin_floor
 from deploy.controller.arm_model import KNOWN, ArmModel
 from deploy.controller.checks import AGAIN, array, plain
 from deploy.controller.judged_loop import JudgedLoop
-from deploy.controller.known_tissue import SAMPLES
+from deploy.controller.known_tissue import SAMPLES, beliefs
 from deploy.controller.least_rate import CAPPED, IPNM_RANGE, check_rates
 from deploy.controller.limits import REACH
 from jaxmpc.files.errors import InputError
@@ -103,7 +103,12 @@ class Artifact:
         if not np.any(self.golden_v):
             raise InputError("golden_v", "all zero", "a trace that moves", "Nothing could be told from this one.")
         margin_floor.check(self.margins, self.floor)
-        if self.family is not None:
+        if self.family is not None and gains.schedule is not None:
+            band, known = self.family["band"], gains.schedule.identification.band
+            if band != known:
+                raise InputError(
+                    "family.band", band, f"what counts as known, schedule.identification.band (= {known:g})", AGAIN
+                )
             margin_floor.check(self.family["rows"], self.floor, "with the tissue known to have about")
         if self.arm is not None:
             self._check_arm(self.arm)
@@ -133,14 +138,15 @@ class Artifact:
             raise InputError("stiffness", softest, bound, "Promise no tissue so soft, or limit the force.")
 
     def _check_known(self, arm: ArmModel) -> None:
-        """A schedule has the torques at its knots, no other controller has any."""
-        family, known = self.gains.schedule, arm.golden_known
-        if (family is None) != (known is None):
-            have = "missing" if known is None else "given"
-            bound = "given for a controller with a schedule, whose every knot it holds, and for no other"
-            raise InputError(KNOWN, have, bound, AGAIN)
+        """A schedule has what it answers at its knots and beyond its bounds, no other controller has any of that."""
+        family = self.gains.schedule
+        for name in KNOWN:
+            if (family is None) != (getattr(arm, name) is None):
+                have = "given" if family is None else "missing"
+                bound = "given for a controller with a schedule, whose every knot and bound it holds, and for no other"
+                raise InputError(name, have, bound, AGAIN)
         if family is not None:
-            array(KNOWN, known, (len(family.knots), min(SAMPLES, len(self.golden_force)), 4))
+            array(KNOWN[0], arm.golden_known, (len(beliefs(family)), min(SAMPLES, len(self.golden_force)), 4))
 
     @property
     def flown_gains(self) -> Gains:

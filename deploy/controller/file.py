@@ -34,8 +34,8 @@ def to_bytes(artifact: Artifact) -> bytes:
     if artifact.arm is not None:
         header |= {"arm": artifact.arm.plain()}
         golden |= {name: getattr(artifact.arm, name) for name in arm_model.GOLDEN}
-        if artifact.arm.golden_known is not None:
-            golden |= {arm_model.KNOWN: artifact.arm.golden_known}
+        if artifact.gains.schedule is not None:
+            golden |= {name: getattr(artifact.arm, name) for name in arm_model.KNOWN}
     return seal({"schema": SCHEMA, "version": VERSION, "kind": artifact.kind, **header}, golden)
 
 
@@ -71,7 +71,7 @@ def from_bytes(data: bytes) -> Artifact:
         raise ArtifactError(f"it lacks the array {missing[0]}")
     if missing := [name for name in keys if name not in header]:
         raise ArtifactError(f"its header lacks {missing[0]}")
-    if surplus := [name for name in arrays if name not in names and not (kind == "wam" and name == arm_model.KNOWN)]:
+    if surplus := [name for name in arrays if name not in names and not (kind == "wam" and name in arm_model.KNOWN)]:
         raise ArtifactError(f"it holds the array {_said(surplus[0])}, which no controller of its kind has")
     if surplus := [name for name in header if name not in ("schema", "version", "kind", *keys, "family")]:
         raise ArtifactError(f"its header has the key {_said(surplus[0])}, which no controller of its kind has")

@@ -49,7 +49,7 @@ def freeze(
         preview: Whether the future reference along H_p is known at run time.
         arm: What the controller drives; None makes one that only replays. Entries as in
             `deploy.controller.arm_model.MEANING`, and of the trace `golden_q` [rad], `golden_applied` and
-            `golden_torque` [N m], each (n, 4), with a schedule `golden_known` (knots, m, 4) [N m].
+            `golden_torque` [N m], each (n, 4), with a schedule what `known_tissue.answers` gives.
         family: With a schedule, the `band` of K_s/K̂ [-] and `rows` as those of the margins, one per known stiffness.
 
     Raises:
@@ -90,5 +90,5 @@ def freeze(
 
 
 def _model(arm: Mapping[str, Any]) -> ArmModel:
-    table = {key: value for key, value in arm.items() if key not in (*GOLDEN, KNOWN)}
+    table = {key: value for key, value in arm.items() if key not in (*GOLDEN, *KNOWN)}
     return ArmModel.from_plain(table, arm)

@@ -12,7 +12,7 @@ import math
 from operator import itemgetter
 from typing import Any
 
-from deploy.runtime.arm_law import ArmLaw, memory_of
+from deploy.runtime.arm_law import ArmLaw, Memory, memory_of
 from deploy.runtime.flat import flat, places
 from deploy.runtime.force_lag import lag
 from deploy.runtime.straightline import compile_straightline
@@ -30,6 +30,7 @@ class ArmRuntime:
 
     Attributes:
         operations: Arithmetic operations of `control`.
+        places: Of each number in `remembered`.
         last_v: Commands of the cascades at the last sample [m/s²].
         last_a: Accelerations last asked of the tip [m/s²].
         last_force: Force that the last `control` worked with, predicted if none was measured [N].
@@ -52,7 +53,8 @@ class ArmRuntime:
         law = ArmLaw(controller, preview)
         self._controller, self._compensated = controller, compensated
         self.start(controller.posture)
-        self._read(places(law.resting))
+        self.places: Memory = places(law.resting)
+        self._read(self.places)
         wanted = ((0.0,) * (1 + len(controller.gains.mpc_ref)),) * 3 if preview else _THREE
         memory, seen = self._memory, (_FOUR, _FOUR)
         control = compile_straightline(law.control, (memory, self._bristles, _THREE, _FOUR, *seen, _THREE, wanted))
@@ -85,7 +87,6 @@ class ArmRuntime:
 
         self._p_hat, self._u = of_each(where.axes, "p_hat"), of_each(where.axes, "u")
         self._believed, self._authority = of_each(tissues, "log_stiffness"), of_each(tissues, "authority")
-        self._tissues = [(tissue.log_stiffness, tissue.authority) for tissue in tissues]
         self._sines = [itemgetter(*flat((t.listening, t.heard, t.force[-1], t.tip[-1]))) for t in tissues]
         self._share = None if where.guard is None else where.guard.share
         self._backed_off = None if where.guard is None else slice(where.guard.memory[0], where.guard.memory[-1] + 1)
@@ -177,12 +178,15 @@ class ArmRuntime:
         x, y, z = map(math.exp, self._believed(self._memory))
         return x, y, z
 
-    def believe(self, log_stiffness: float) -> None:
-        """Only for a check: under each axis ln K̂ [K̂ in N/m] is known, and its gains have all of the control."""
-        memory = list(self._memory)
-        for place, share in self._tissues:
-            memory[place], memory[share] = log_stiffness, 1.0
-        self._held[0] = tuple(memory)
+    @property
+    def remembered(self) -> tuple[float, ...]:
+        """All that changes in contact alone, each number at its place."""
+        return self._memory  # type: ignore[no-any-return]  # a cast would cost time in the loop
+
+    @remembered.setter
+    def remembered(self, memory: tuple[float, ...]) -> None:
+        """Only for a check."""
+        self._held[0] = memory
 
     @property
     def authority(self) -> Vector3:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from deploy.controller import known_tissue
-from deploy.controller.arm_model import KNOWN, ROBOT
+from deploy.controller.arm_model import ROBOT
 from deploy.controller.artifact import Artifact
 from deploy.controller.freeze import freeze
 from deploy.controller.judged_loop import JudgedLoop
@@ -214,7 +214,7 @@ def _arm_trace(
         preview = experiment.reference.preview
         controller, compensated = nominal_controller(gains, K2, experiment, velocity_cutoff)
         trace = known_tissue.samples(run.q, run.force, run.force_ref, preview)
-        arm |= {KNOWN: known_tissue.torques(controller, compensated, trace, preview)}
+        arm |= known_tissue.answers(controller, compensated, trace, preview)
     return run.force, run.force_ref, answer.v
 
 

@@ -12,9 +12,10 @@ from tests.deploy import made
 def replaced(table, path, value):
     """The same nested table with another value at a dotted path; ... removes it."""
     key, _, rest = path.partition(".")
+    within = table[int(key)] if isinstance(table, list) else table.get(key)
+    inner = replaced(within, rest, value) if rest else value
     if isinstance(table, list):
-        return [replaced(each, rest, value) if str(i) == key else each for i, each in enumerate(table)]
-    inner = replaced(table[key], rest, value) if rest else value
+        return [inner if str(i) == key else each for i, each in enumerate(table)]
     return {k: v for k, v in (table | {key: inner}).items() if v is not ...}
 
 

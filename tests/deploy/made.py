@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from deploy.controller import known_tissue
-from deploy.controller.arm_model import KNOWN, ROBOT, ArmModel, published_tip
+from deploy.controller.arm_model import ROBOT, ArmModel, published_tip
 from deploy.controller.artifact import Artifact
 from deploy.controller.judged_loop import JudgedLoop
 from deploy.controller.limits import Limits
@@ -23,7 +23,9 @@ from jaxmpc.law.friction_compensation import NominalFriction
 from jaxmpc.law.gains import Gains, GainSchedule, Knot, constant_reference, with_gain
 from jaxmpc.law.measurement import Measurement
 from jaxmpc.law.ops import FLOATS
+from jaxmpc.law.pulse import PulseFinder
 from jaxmpc.law.reference import split, told
+from jaxmpc.law.repetition import Repetition
 from jaxmpc.law.stiffness import StiffnessIdentification
 
 K_HAT, K2, T_S = 900.0, 10.0, 1e-3
@@ -122,6 +124,15 @@ def scheduled_gains() -> Gains:
         watching=1e-3,
     )
     return text_gains()._replace(schedule=GainSchedule(tuple(knots), identification))
+
+
+def learning_gains() -> Gains:
+    """The same family, which learns of each beat, too: at the fastest rate the fifth harmonic fades."""
+    finder = PulseFinder(T_S, slow=3e-3, cycles=1.0, following=1.0, pulling=1.0, first=7.5, least=3.8, most=16.3)
+    learning = Repetition(finder, (1.3e-4,) * 5, smoothing=0.067, judging=1.6e-4, highest=88.0, lead=0.032)
+    gains = scheduled_gains()
+    assert gains.schedule is not None
+    return gains._replace(schedule=gains.schedule._replace(repetition=learning))
 
 
 def margin_row(stiffness: float, **changes: Any) -> dict[str, Any]:
@@ -254,7 +265,7 @@ def arm_arguments(n: int = 40, preview: bool = False, compensated: bool = False,
     if gains.schedule is not None:
         forces = wanted if preview else wanted[..., 0]
         trace = known_tissue.samples(arm["golden_q"], np.array(inputs[1]), forces, preview)
-        arm |= {KNOWN: known_tissue.torques(controller, arm["compensated"], trace, preview)}
+        arm |= known_tissue.answers(controller, arm["compensated"], trace, preview)
     return {
         "gains": gains,
         "T_s": T_S,

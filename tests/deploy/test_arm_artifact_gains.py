@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.controller import frozen_gains
+from deploy.controller.arm_model import KNOWN
 from deploy.controller.file import from_bytes, to_bytes
 from deploy.controller.freeze import freeze
 from jaxmpc.files.errors import InputError
@@ -91,12 +92,17 @@ def test_the_gains_of_every_knot_are_held_by_the_trace(family, knot, name):
 
 
 def test_a_family_of_before_its_knots_were_traced_is_refused(family, guarded):
-    message = "golden_known = missing: must be given for a controller with a schedule, .* Freeze the controller again"
-    refused(family, message, golden_known=None)
-    refused(family, r"golden_known = an array of shape \(1, 6, 4\)", golden_known=family[1]["golden_known"][:1])
-    refused(family, r"golden_known = an array of shape \(2, 5, 4\)", golden_known=family[1]["golden_known"][:, :5])
-    refused(family, "deviation from the golden torques", golden_known=family[1]["golden_known"] + 1e-8)
-    refused(guarded, "golden_known = given: must be given for .* and for no other", golden_known=np.zeros((2, 16, 4)))
+    known, memory = (family[1][name] for name in KNOWN)
+    for name, given in ((KNOWN[0], np.zeros((4, 16, 4))), (KNOWN[1], np.zeros((4, 9)))):
+        message = f"{name} = missing: must be given for a controller with a schedule, .* Freeze the controller again"
+        refused(family, message, **{name: None})
+        refused(guarded, f"{name} = given: must be given for .* and for no other", **{name: given})
+    refused(family, r"golden_known = an array of shape \(1, 6, 4\)", golden_known=known[:1])
+    refused(family, r"golden_known = an array of shape \(4, 5, 4\)", golden_known=known[:, :5])
+    refused(family, r"golden_memory = an array of shape \(2, ", golden_memory=memory[:2])
+    refused(family, r"golden_memory = an array of shape \(4, 9\)", golden_memory=memory[:, :9])
+    refused(family, "deviation from the golden torques", golden_known=known + 1e-8)
+    refused(family, "deviation from the golden memory", golden_memory=memory * (1.0 + 1e-8))
 
 
 def test_a_guard_of_nothing_is_none(opened):
@@ -128,6 +134,7 @@ ROWS = [made.margin_row(810.0)]
         ({"band": 1.0, "rows": ROWS}, "family.band"),
         ({"band": -0.08, "rows": ROWS}, "family.band"),
         ({"band": True, "rows": ROWS}, "family.band"),
+        ({"band": 0.25, "rows": ROWS}, "family.band"),
         ({"band": 0.08}, "family"),
         ({"band": 0.08, "rows": ROWS, "knots": 2}, "family"),
         (7, "family"),
@@ -138,7 +145,7 @@ def test_a_family_tells_its_band_and_its_margins_and_nothing_else(wrong, key):
     family = made.arm_artifact(6, gains=made.scheduled_gains())
     with pytest.raises(InputError, match=f"^{key} = "):
         replace(family, family=wrong)
-    assert replace(family, family={"band": 0.25, "rows": ROWS}).family == {"band": 0.25, "rows": ROWS}
+    assert replace(family, family={"band": 0.08, "rows": ROWS}).family == {"band": 0.08, "rows": ROWS}
 
 
 @pytest.mark.parametrize("share", [0.5, 2.0])

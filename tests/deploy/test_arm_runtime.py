@@ -50,13 +50,13 @@ def begun(runtime, inputs):
 @pytest.mark.parametrize("preview", [False, True])
 def test_the_recorded_tick_is_the_law_on_floats_to_the_last_bit(preview, compensated, gains, more):
     artifact = made.arm_artifact(300, preview, compensated, gains=gains._replace(K=(*gains.K, *more)))
-    assert replay(artifact) == (0.0, 0.0)
+    assert replay(artifact) == (0.0, 0.0, 0.0)
     assert np.abs(artifact.arm.golden_applied - artifact.arm.golden_torque).max() > 0.1
 
 
 def test_the_recorded_tick_with_the_momentum_observed_is_the_law_to_the_last_bit():
     observed, plain = made.arm_artifact(300, momentum_observer=60.0), made.arm_artifact(300)
-    assert replay(observed) == (0.0, 0.0)
+    assert replay(observed) == (0.0, 0.0, 0.0)
     # The cascades see the same force: what is cancelled is in the torques alone, and rounds the change that a cut is.
     assert np.abs(observed.arm.golden_torque - plain.arm.golden_torque).max() > 1.0
     np.testing.assert_allclose(observed.golden_v, plain.golden_v, rtol=0, atol=1e-9)

@@ -45,7 +45,7 @@ def test_runtime_equals_the_traced_law_over_ten_thousand_random_steps(architectu
     arrays = jax.tree.map(np.asarray, gains)
     floor, params = {"M_s": 2.0}, {"architecture": architecture}
     artifact = Artifact(arrays, 1e-3, 10.0, preview, LOOP, params, [ROW], floor, {}, force, force_ref, v)
-    deviation, _ = replay(artifact)
+    deviation, *_ = replay(artifact)
     assert deviation <= 1e-12
     short = tuple(each[:50] for each in (force, force_ref, v))
     frozen = freeze(tmp_path / "c.npz", arrays, 1e-3, 10.0, LOOP, params, [ROW], floor, short, {}, preview)
