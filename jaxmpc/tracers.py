@@ -103,6 +103,7 @@ def _serve(orders: Connection, folder: Path) -> None:
     silence_libraries()
     use_all_cores()
     store.keep_in(folder)
+    jax.local_devices()  # a GPU takes its time to begin with a process
     with suppress(EOFError, OSError):
         while True:
             orders.send(_traced(orders.recv()))

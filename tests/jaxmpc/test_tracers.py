@@ -156,10 +156,10 @@ def test_they_end_with_the_one_they_serve(ending: signal.Signals, tmp_path: Path
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
-    assert parent.stdout
-    pid = int(parent.stdout.readline())
-    parent.send_signal(ending)
-    parent.wait(10.0)
+    with parent:
+        assert parent.stdout
+        pid = int(parent.stdout.readline())
+        parent.send_signal(ending)
     deadline = time.monotonic() + 60.0
     with suppress(ProcessLookupError):
         while time.monotonic() < deadline:

@@ -1,21 +1,25 @@
 """What is compiled beside the search is what its proof runs."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
 from jaxmpc.engine.base import ProgramSpec
 from jaxmpc.files.errors import InputError
 from jaxmpc.metrics import Metrics
+from jaxmpc.report.loops import curves
 from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.shared import kind_of
 from tuning import TuneSpec
 from tuning.job.scenarios import scenarios
 from tuning.objective import comparison
-from tuning.proof import flyable
+from tuning.proof import flyable, found, split
 from tuning.proof.ahead import programs
+from tuning.search.run import SearchHistory
 
 
 class Recorded:
@@ -51,7 +55,8 @@ def job(**tables: dict[str, Any]) -> TuneSpec:
 def test_comparisons_run_what_was_compiled(spec: TuneSpec, monkeypatch: pytest.MonkeyPatch) -> None:
     run = Recorded()
     monkeypatch.setattr(comparison, "_run", run)
-    monkeypatch.setattr("tuning.proof.ahead.rehearse", lambda _: None)
+    for rehearsed in ("flyable.rehearse", "found_controller.rehearse", "split.rehearse", "curves"):
+        monkeypatch.setattr(f"tuning.proof.ahead.{rehearsed}", lambda *_: None)
     for program in programs(spec):
         program()
     tuned = spec.space.exact(spec.space.encode(spec.space.base) + 0.1)
@@ -79,3 +84,28 @@ def test_freezing_is_rehearsed_with_what_the_search_begins_with(monkeypatch: pyt
     assert floor > 1e300
     flyable.rehearse(job(experiment={"published": "table-1", "duration": 4.0, "settle": 3.0}))
     assert len(asked) == 1, "of the linear loop nothing flies"
+
+
+def test_margins_causes_and_curves_run_what_was_rehearsed() -> None:
+    """Nothing is compiled for the tuned controller, which the search begins with another of."""
+    spec = job(tune={"starts": 2, "duration": 4.0, "train_seeds": [0, 1]})
+    for rehearsal in programs(spec):
+        if getattr(rehearsal, "func", None) in (found.rehearse, split.rehearse, curves):
+            rehearsal()
+    compiled: list[str] = []
+
+    def heard(event: str, seconds: float, **_: Any) -> None:
+        if "backend_compile" in event:
+            compiled.append(event)
+
+    tuned = spec.space.exact(spec.space.encode(spec.space.base) + 0.1)
+    last: Any = SimpleNamespace(state=SimpleNamespace(feasible=True))
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    try:
+        result = found.found_of(SearchHistory(spec, [last], {}), tuned)
+        split.split(result)
+        curves(tuned, spec.experiment, spec.ideal)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(heard)
+    assert compiled == []
+    assert np.isfinite(result.judged(1).margins.M_s).all()

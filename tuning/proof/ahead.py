@@ -3,15 +3,19 @@
 from collections.abc import Callable
 from functools import partial
 
+from jaxmpc.report.loops import curves
 from tuning.job.scenarios import scenarios
 from tuning.job.spec import TuneSpec
 from tuning.objective import comparison
-from tuning.proof.flyable import rehearse
+from tuning.proof import flyable, split
+from tuning.proof import found as found_controller
 
 
-def programs(spec: TuneSpec) -> list[Callable[[], None]]:
+def programs(spec: TuneSpec) -> list[Callable[[], object]]:
     """Each compiles something that `tuning.proof.result.assess` will run, if every start reaches its goals."""
-    found: list[Callable[[], None]] = [_drawing, partial(rehearse, spec)]
+    found: list[Callable[[], object]] = [_drawing]
+    found += [partial(each.rehearse, spec) for each in (flyable, found_controller, split)]
+    found.append(partial(curves, spec.space.base, spec.experiment, spec.ideal))
     for seeds, candidates in ((spec.tune.validation_seeds, spec.tune.starts), (spec.tune.heldout_seeds, 1)):
         met = scenarios(spec.experiment, spec.scenarios, seeds)
         pairs = comparison.pairs_of(spec, [spec.space.exact(spec.space.encode(spec.space.base))] * candidates, met)

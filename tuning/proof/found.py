@@ -108,6 +108,13 @@ def found_of(history: SearchHistory, params: Params) -> FoundController:
     return FoundController(spec, params, feasible, found, known, history.steps, history.orders)
 
 
+def rehearse(spec: TuneSpec) -> None:
+    """Compile what `found_of` runs."""
+    for ideal in KINDS.values():
+        _judged(spec, spec.space.base, ideal)
+    _known(spec, spec.space.base)
+
+
 @on_cpu()
 def _judged(spec: TuneSpec, params: Params, ideal: bool) -> Margins:
     """Margins of the controller before and of another, (2, judged_at)."""

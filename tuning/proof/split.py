@@ -1,5 +1,6 @@
 """What the residual is made of: what motion, friction and noise alone would leave, from the frequency response."""
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -11,10 +12,12 @@ from jaxmpc.spectra.residual import Parts, residual_parts, residual_rms
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of, stacked
 from jaxmpc.stability.family import gains_on
 from jaxmpc.stability.loop import contact_of
+from jaxmpc.synthesis.params import Params
 from jaxmpc.world.loop_path import LoopPath
 from jaxmpc.xla.once import JitOnce
 from jaxmpc.xla.place import on_cpu
 from jaxmpc.xla.precision import in_float64
+from tuning.job.spec import TuneSpec
 from tuning.objective.problem import training
 from tuning.proof.found import FoundController
 
@@ -39,18 +42,29 @@ class Split(NamedTuple):
 def split(result: FoundController) -> Split:
     """The residual by its causes; NaN on a tissue where the loop is unstable."""
     spec = result.spec
-    experiment = spec.experiment
-    path, stiffness = experiment.loop_path(), np.asarray(experiment.stiffness)
-    met = training(spec, spec.tune.train_seeds[:MOST])
     found = []
-    for params, seen in ((spec.before, spec.met_before(met)), (result.params, met)):
-        spectra = stacked([*map(spectrum_of, seen)])
-        gains, K2 = gains_on(params, stiffness, path)
-        own = path.with_cutoff(params.velocity_cutoff)
-        whole, parts = _parts(gains, K2, stiffness, spectra, own)
+    for asked in _asked(spec, result.params):
+        whole, parts = _parts(*asked)
         found.append([np.sqrt(np.mean(np.square(field), axis=1)) for field in (whole, *parts)])
-    stable = result.stable(path.ideal)[..., None]
+    stable = result.stable(spec.experiment.loop_path().ideal)[..., None]
     return Split(*(np.where(stable, np.stack(pair), np.nan) for pair in zip(*found, strict=True)))
+
+
+@on_cpu()
+@in_float64
+def rehearse(spec: TuneSpec) -> None:
+    """Compile what `split` runs."""
+    for asked in _asked(spec, spec.space.base):
+        _parts.compile(*asked)
+
+
+def _asked(spec: TuneSpec, params: Params) -> Iterator[tuple[Any, ...]]:
+    """What `_parts` is asked of the controller before, and of another."""
+    path, stiffness = spec.experiment.loop_path(), np.asarray(spec.experiment.stiffness)
+    met = training(spec, spec.tune.train_seeds[:MOST])
+    for each, seen in ((spec.before, spec.met_before(met)), (params, met)):
+        spectra = stacked([*map(spectrum_of, seen)])
+        yield *gains_on(each, stiffness, path), stiffness, spectra, path.with_cutoff(each.velocity_cutoff)
 
 
 def _parts_of(gains: Gains, K2: Any, stiffness: Any, spectra: Spectrum, path: LoopPath) -> tuple[Any, Parts]:

@@ -16,7 +16,7 @@ from tuning.search.mapping import PROPOSED, spectra_of
 
 MOST = 8
 """Programs that compile at a time: with four, `arm-tune` takes 63 s on an H200 instead of 54, since some wait."""
-Tasks = Sequence[Callable[[], None]]
+Tasks = Sequence[Callable[[], object]]
 
 
 def threads() -> Beside:
