@@ -28,6 +28,8 @@ LARGEST_ERROR = 0.02
 YIELDING, LARGEST_PUSH = 4.0, 2.5
 """k_f [m/s² per N], and how much more push adds no more [N]: on 2 kN/m it gives way like a spring of 90 rad/s, and the
 tip left −10 N at 0.18 m/s at most (docs/robot.md), of the 0.28 that end a run."""
+SOFTER = 0.3
+"""Share of the servo's bandwidth that is left after each swing [-]: its poles then bear three times the delay."""
 LETTING_UP = 200.0
 """Rate at which the push that it may still press falls from that at the beginning to none [N/s]."""
 
@@ -80,7 +82,7 @@ class TaskController:
         self._samples = 0
         self._task = Task.OFF
         self._reference, self._start, self._sum = NONE, NONE, NONE
-        self._allowed = 0.0
+        self._allowed, self._bandwidth = 0.0, 1.0
 
     def torque(
         self,
@@ -154,6 +156,10 @@ class TaskController:
         """Whether the force is that of a contact: a tissue that holds the tip may as well pull, or drag it aside."""
         return force is not None and math.hypot(*force) > self.contacting.threshold
 
+    def soften(self) -> None:
+        """The servo has swung a joint: from now on it has less bandwidth."""
+        self._bandwidth *= SOFTER
+
     @property
     def contact_time(self) -> float:
         """Time for which the cascade has been in control [s]."""
@@ -186,13 +192,14 @@ class TaskController:
     def _servo(
         self, speed: float, away: float, q: Vector4, qd: Vector4, tip: Vector3, tip_velocity: Vector3, force: Vector3
     ) -> Vector4:
-        step = speed * self._T_s
+        step, share = speed * self._T_s, self._bandwidth
         normal = self.contacting.normal
         self._reference = _plus(self._reference, step, normal)
         error = _within(_plus(tip, -1.0, self._reference), LARGEST_ERROR)
-        self._sum = _within(_plus(self._sum, self._T_s, error), LARGEST_ERROR * STIFFNESS / INTEGRAL)
+        self._sum = _within(_plus(self._sum, self._T_s, error), LARGEST_ERROR * STIFFNESS / (share * INTEGRAL))
         velocity = _plus(tip_velocity, -speed, normal)
-        a = _plus(_plus(_plus(NONE, -STIFFNESS, error), -INTEGRAL, self._sum), -DAMPING, velocity)
+        a = _plus(_plus(NONE, -(share**2) * STIFFNESS, error), -(share**3) * INTEGRAL, self._sum)
+        a = _plus(a, -share * DAMPING, velocity)
         a = _plus(a, away, normal)
         return self.runtime.servo(q, qd, a, force)
 

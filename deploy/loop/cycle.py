@@ -26,6 +26,7 @@ from deploy.safety.overshoot import Pushes, pushed
 from deploy.safety.plausible import ForceState, force_step
 from deploy.safety.posture import displaced
 from deploy.safety.reasons import Reason
+from deploy.safety.swing import SwingState, swing_step
 from deploy.wam.arm import WamArm
 from deploy.wam.reading import Reading
 from deploy.wam.tip_pose import TipKinematics
@@ -38,6 +39,9 @@ ASTRAY = 2.0
 """How far the force in contact never is from that which is wanted [N]: premature beats bring it to 1.4 N, a sensor with
 a wrong sign passes it within some milliseconds."""
 JOINTS = ("J1", "J2 and J3 (motor 2)", "J2 and J3 (motor 3)", "J4")
+_SERVED = (Task.APPROACH, Task.RETRACT, Task.HOLD)
+_WAY_OUT = (OperatingState.RETRACT, OperatingState.STOPPED)
+_WELL = (Reason.FINISHED, Reason.OPERATOR)
 _STRICTNESS = {task: Strictness.SAFE for task in Task} | {
     Task.OFF: Strictness.OFF,
     Task.APPROACH: Strictness.CONTROL,
@@ -125,6 +129,7 @@ class Cycle:
         self.watch = ForceWatch(controller, estimate, deepest, T_s)
         self.positions = Positions(arm, T_s, controller.runtime.velocity)
         self._hazards, self.pushes = Hazards(arm, T_s), Pushes()
+        self._swing, self._T_s = SwingState(), T_s
         controller.runtime.start(self.positions.q)
 
     def step(self, reading: Reading, timing: CycleTiming, command: OperatorCommand) -> CycleResult:
@@ -155,8 +160,13 @@ class Cycle:
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
         state = self.safety_state.state
-        if danger is Reason.NONE and self._swings(qd):
-            danger = Reason.JOINT_VELOCITY
+        serving = driven and self._task in _SERVED
+        self._swing, swings = swing_step(self._swing, serving, qd, self.limits.joint_velocity, self._T_s)
+        if swings:
+            self.controller.soften()
+            # Of an arm that withdraws for another reason, that one stays told.
+            if danger is Reason.NONE and (state not in _WAY_OUT or self.safety_state.reason in _WELL):
+                danger = Reason.JOINT_VELOCITY
         if state is OperatingState.ARMED and self._posture is not None and (where := displaced(q, self._posture)):
             doubt, detail = Reason.POSTURE, detail or where
         if state in (OperatingState.CONTACT, OperatingState.RETRACT) and force is not None:
@@ -181,16 +191,6 @@ class Cycle:
         )
         self.safety_state = machine.step(self.safety_state, observed, self._waits)
         return self._send(q, qd, kinematics, force, age)
-
-    def _swings(self, qd: Vector4) -> bool:
-        """Whether a joint is beyond its velocity limit after a run that went well, as one of a late encoder may be.
-
-        The checker refuses nothing for the speed of an arm that is withdrawn or held, so nobody else would tell.
-        """
-        now = self.safety_state
-        over = now.state in (OperatingState.RETRACT, OperatingState.STOPPED) and not now.let_go
-        well = now.reason in (Reason.FINISHED, Reason.OPERATOR)
-        return over and well and any(abs(v) > most for v, most in zip(qd, self.limits.joint_velocity, strict=True))
 
     def _send(self, q: Vector4, qd: Vector4, kinematics: TipKinematics, force: Vector3 | None, age: int) -> CycleResult:
         """Result with the frame of the task, or of the lesser task that a refusal leads to."""

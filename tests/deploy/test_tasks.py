@@ -8,6 +8,7 @@ from deploy.loop.control import (
     DAMPING,
     INTEGRAL,
     LARGEST_ERROR,
+    SOFTER,
     STIFFNESS,
     Contacting,
     TaskController,
@@ -147,3 +148,19 @@ def test_depth_is_counted_from_the_contact_downwards(made):
     assert (made.depth(met), made.depth(deeper)) == pytest.approx((0.0, 0.003))
     made(Task.RETRACT, -0.013)
     assert made.depth(deeper) == 0.0
+
+
+def test_a_servo_that_was_softened_is_the_same_one_slowed():
+    """Poles a share s as fast: k_p falls by s², k_i by s³, k_d by s; and its integral holds back as much of e."""
+    made = Made()
+    made(Task.HOLD)
+    made.soften()
+    made.soften()
+    share = SOFTER**2
+    made(Task.HOLD, z=0.01)
+    assert made.asked[-1][2] == pytest.approx(-(share**2) * STIFFNESS * 0.01 - share**3 * INTEGRAL * 0.01 * T_S)
+    made(Task.HOLD, velocity=(0.0, 0.0, 0.1))
+    assert made.asked[-1][2] == pytest.approx(-share * DAMPING * 0.1 - share**3 * INTEGRAL * 0.01 * T_S)
+    for _ in range(round(1.0 / (share * T_S))):
+        made(Task.HOLD, z=0.05)
+    assert made.asked[-1][2] == pytest.approx(-2.0 * share**2 * STIFFNESS * LARGEST_ERROR)

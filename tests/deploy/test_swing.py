@@ -1,0 +1,50 @@
+"""A joint that the servo swings is found, and one that the servo brakes is not."""
+
+import pytest
+
+from deploy.safety.swing import BRAKED, CONFIRMED, FAST, SwingState, swing_step
+
+LIMITS = (2.0, 2.0, 2.0, 0.5)
+FASTER = 1.001
+
+
+def run(speeds, T_s=1e-3, serving=lambda i: True):
+    """In which samples a swing is found."""
+    state, found = SwingState(), []
+    for i, qd in enumerate(speeds):
+        state, swings = swing_step(state, serving(i), qd, LIMITS, T_s)
+        if swings:
+            found.append(i)
+    return found
+
+
+def moving(joint, speed, samples):
+    return [tuple(speed * (i == joint) for i in range(4))] * samples
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(("joint", "bound"), [(0, FAST), (1, FAST), (2, FAST), (3, 0.5)])
+def test_a_fast_joint_is_found_whichever_way_it_turns_and_a_limit_that_is_less_counts(joint, bound, sign):
+    still = moving(0, 0.0, 200)
+    assert run(still + moving(joint, sign * bound, 300)) == []
+    assert run(still + moving(joint, sign * FASTER * bound, 3)) == [202]
+
+
+def test_it_must_last():
+    fast, slow = moving(2, -0.9, 2), moving(2, 0.3, 1)
+    assert run(moving(0, 0.0, 200) + (fast + slow) * 20) == []
+
+
+def test_what_was_fast_before_has_time_to_be_braked_and_so_has_a_softer_servo():
+    assert run(moving(1, 1.5, 300)) == [102, 205]
+    assert run(moving(1, 1.5, 300), serving=lambda i: i != 150) == [102, 253]
+
+
+@pytest.mark.parametrize(("T_s", "samples"), [(1e-3, 3), (2e-3, 2), (8e-3, 2)])
+def test_times_are_those_of_the_clock_at_every_rate(T_s, samples):
+    assert run(moving(1, 1.5, 300), T_s)[0] == round(BRAKED / T_s) + samples - 1
+    assert samples == max(round(CONFIRMED / T_s), 2)
+
+
+def test_nobody_swings_what_is_not_driven_by_the_servo():
+    assert run(moving(1, 1.5, 500), serving=lambda i: False) == []
