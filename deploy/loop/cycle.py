@@ -129,7 +129,7 @@ class Cycle:
         self.watch = ForceWatch(controller, estimate, deepest, T_s)
         self.positions = Positions(arm, T_s, controller.runtime.velocity)
         self._hazards, self.pushes = Hazards(arm, T_s), Pushes()
-        self._swing, self._T_s = SwingState(), T_s
+        self._swing, self._T_s, self._lied = SwingState(), T_s, False
         controller.runtime.start(self.positions.q)
 
     def step(self, reading: Reading, timing: CycleTiming, command: OperatorCommand) -> CycleResult:
@@ -151,7 +151,7 @@ class Cycle:
         lying = self.watch.judge(self.safety_state.state, sample, driven, timing.missed > 0)
         if doubt is Reason.NONE:
             doubt = lying
-        self.positions.weigh(self.safety_state, self._task, self.watch, force)
+        self.positions.weigh(self.safety_state, self._task, self.watch, None if self._lied else force)
         hazard, detail = self._hazards.judge(reading, timing, min(self.positions.age))
         if timing.missed > machine.BRIDGED or (age > machine.BRIDGED and self._hazards.lately):
             danger = Reason.LATE
@@ -196,8 +196,9 @@ class Cycle:
         """Result with the frame of the task, or of the lesser task that a refusal leads to."""
         while True:
             task = machine.task_of(self.safety_state, age, self._waits)
-            if self.safety_state.reason is Reason.FORCE_MODEL:
-                force = None  # what was found to lie must not be made good by torque
+            self._lied = self._lied or self.safety_state.reason is Reason.FORCE_MODEL
+            if self._lied:
+                force = None  # what was found to lie must not be made good by torque, whatever comes after
             wanted = self.controller.torque(
                 task, q, qd, kinematics.tip, kinematics.velocity, force, self._hazards.active
             )

@@ -124,6 +124,9 @@ def test_what_was_found_to_lie_is_not_made_good_by_torque(standing):
     for y in (0.0, 0.6, 1.2, 1.8, 2.1):
         made((0.0, y, -1.0))
     assert asked == [(Task.CONTROL, (0.0, y, -1.0)) for y in (0.0, 0.6, 1.2, 1.8)] + [(Task.RETRACT, None)]
+    # Nor whatever comes after it.
+    assert ends(made((0.0, 2.1, -1.0), timing=CycleTiming(missed=BRIDGED + 1))) == (OperatingState.FAULT, Reason.LATE)
+    assert asked[-1] == (Task.RETRACT, None)
 
 
 @pytest.mark.parametrize("motor", range(4))
