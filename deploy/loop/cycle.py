@@ -166,7 +166,7 @@ class Cycle:
             self.controller.soften()
             # Of an arm that withdraws for another reason, that one stays told.
             if danger is Reason.NONE and (state not in _WAY_OUT or self.safety_state.reason in _WELL):
-                danger = Reason.JOINT_VELOCITY
+                danger, detail = Reason.JOINT_VELOCITY, f"J{1 + max(range(4), key=lambda i: abs(qd[i]))} swings"
         if state is OperatingState.ARMED and self._posture is not None and (where := displaced(q, self._posture)):
             doubt, detail = Reason.POSTURE, detail or where
         if state in (OperatingState.CONTACT, OperatingState.RETRACT) and force is not None:

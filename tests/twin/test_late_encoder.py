@@ -23,7 +23,7 @@ def test_the_tip_leaves_the_tissue_slower_than_the_limit(plain, joint):
 def test_the_servo_swings_no_more_while_the_arm_is_held(cautious):
     """The fourth joint came to 2.7 rad/s, and went on until the arm was let go."""
     flight = fly(cautious, "J4:delayed=20@1.481", stiffness=375.0, reference="0,0,-2@5", seconds=1.6, seed=14)
-    assert flight.reason is Reason.JOINT_VELOCITY
+    assert (flight.reason, flight.ended.safety_state.detail) == (Reason.JOINT_VELOCITY, "J4 swings")
     assert flight.fastest.max() < 1.2
     assert abs(flight.signals()["qd"][-100:, 3]).max() < 0.1
 
