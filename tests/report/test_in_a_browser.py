@@ -100,6 +100,22 @@ def test_it_fits_and_is_drawn(dark: bool, width: int, chrome: Opened, small: Pat
     page.set_viewport_size({"width": 1400, "height": 900})
 
 
+def test_what_is_printed_from_a_dark_screen_can_be_read(chrome: Opened, small: Path) -> None:
+    page = chrome.page
+    page.emulate_media(color_scheme="dark")
+    chrome.open(small)
+    page.emulate_media(media="print", color_scheme="dark")
+    # Text is dark on white paper; pictures stay as they are, on a ground of their own.
+    assert page.evaluate("getComputedStyle(document.body).color") == "rgb(31, 35, 41)"
+    grounds = page.evaluate(
+        """() => [...document.querySelectorAll(".stage, .chart")].map((box) => {
+            const canvas = box.querySelector("canvas");
+            return [...canvas.getContext("2d").getImageData(1, canvas.height - 2, 1, 1).data]; })"""
+    )
+    assert grounds == [[21, 24, 28, 255]] * (1 + 4 + 3)
+    page.emulate_media(media="screen", color_scheme="light")
+
+
 def test_foreign_text_stays_text(chrome: Opened, small: Path) -> None:
     chrome.open(small)
     page = chrome.page

@@ -222,6 +222,10 @@ function parallelView(state, box) {
   function paint(canvas, takes, faint) {
     const context = canvas.getContext("2d"), colors = ink();
     context.clearRect(0, 0, width, TOP + HEIGHT + BOTTOM);
+    if (faint) {
+      context.fillStyle = colors.page;
+      context.fillRect(0, TOP - 8, width, HEIGHT + BOTTOM + 8); // names of the axes are text of the page
+    }
     if (axes.length < 2) return;
     const count = takes ? state.shown : state.count;
     if (count <= FEW) strokes(context, takes, faint, colors);
@@ -404,7 +408,7 @@ function parallelView(state, box) {
     colour();
     paint(canvases[0], null, true);
   });
-  dark.addEventListener("change", layout);
+  recoloured(layout);
   addEventListener("resize", layout);
   colour();
   layout();

@@ -22,6 +22,9 @@ function choice(label, options, value, changed) {
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
 
+// A browser that prints is light for that moment, and would take pictures half drawn: they are printed as they stand.
+const recoloured = (work) => dark.addEventListener("change", () => matchMedia("print").matches || work());
+
 function ink() {
   const style = getComputedStyle(document.documentElement), read = (name) => style.getPropertyValue(name).trim();
   return {
@@ -72,11 +75,12 @@ function discard(holder) {
   holder.replaceChildren();
 }
 
-dark.addEventListener("change", () => drawn.forEach((entry) => entry.draw()));
+recoloured(() => drawn.forEach((entry) => entry.draw()));
 
 function base(option) {
   return {
     animation: false,
+    backgroundColor: ink().page, // of the picture itself: it may be printed on another
     textStyle: { fontFamily: "system-ui, sans-serif", color: ink().text },
     ...option,
     // Hints drawn in the canvas: no HTML is ever made of a name.

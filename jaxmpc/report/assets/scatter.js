@@ -72,7 +72,7 @@ function scatterView(state, box) {
     });
     const ends = front.filter((i) => fits(x[i], logs[0]) && fits(y[i], logs[1])).map((i) => [x[i], y[i], i]);
     const two = goals.length === 2 && !third && goals.includes(across) && goals.includes(up);
-    told.textContent = `${front.length} rows on the front of ${goals.map((each) => each.head).join(", ")}; ` +
+    told.textContent = `${front.length} ${front.length === 1 ? "row" : "rows"} on the front of ${goals.map((each) => each.head).join(", ")}; ` +
       `${broken.length} in grey break a limit; ${failed} without a finite value and ${outside} far outside are not drawn.` +
       (third && low < high ? ` Colour: ${heading(third)} from ${short(low)} (dark) to ${short(high)} (light).` : "");
     picture.setAttribute("aria-label", told.textContent);

@@ -30,7 +30,7 @@ function tableView(state, box) {
   const table = element("table", {}, element("thead", {}, head, filters), body);
   const above = element("div"), below = element("div");
   const sight = element("div", { className: "sight", tabIndex: 0, role: "region" }, above, table, below);
-  sight.setAttribute("aria-label", "rows; arrow keys move, Enter shows one");
+  sight.setAttribute("aria-label", "rows; ↑ ↓, Home and End choose one, which is shown below");
   sight.style.maxHeight = `${(SIGHT + 2.6) * LINE}px`;
   const columns = [{ name: "", head: "row", unit: "-", text: "its name" }, { name: "status", head: "status", unit: "-", text: `the worst, ${rows.group} by ${rows.group}` }, ...measures];
 
