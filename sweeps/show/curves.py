@@ -45,6 +45,11 @@ def length_words(result: Result) -> str:
     return f"{shortest:g} s" if shortest == longest else f"{shortest:g} to {longest:g} s"
 
 
+def _longest(result: Result) -> float:
+    """Length of the longest run [s]."""
+    return float(met(result.plan, result.columns, "duration").max())
+
+
 def _loop_words(physics: str) -> str:
     return "linear loop" if physics == "linear" else "arm"
 
@@ -52,8 +57,8 @@ def _loop_words(physics: str) -> str:
 def note(result: Result, count: int) -> str:
     """What is kept of which rows, for a reader who looks for the curves of another."""
     return (
-        f"the {count} best rows and rows of the front, recomputed on the {world_words(result)}: the last {WINDOW:g} s "
-        "of the residual on each axis, |S|, Nyquist, Bode of L and a step."
+        f"the {count} best rows and rows of the front, recomputed on the {world_words(result)}: the last "
+        f"{min(WINDOW, _longest(result)):g} s of the residual on each axis, |S|, Nyquist, Bode of L and a step."
     )
 
 

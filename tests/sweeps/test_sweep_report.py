@@ -19,7 +19,7 @@ from sweeps.result import Result, of_stages
 from sweeps.show import report
 from sweeps.show.best_rows import table
 from sweeps.show.candidates import candidates, template
-from sweeps.show.curves import length_words, world_words
+from sweeps.show.curves import length_words, note, world_words
 from sweeps.show.report import sweep_report
 from sweeps.space import SweepSpace
 from sweeps.spec import SweepSpec
@@ -54,6 +54,7 @@ def test_report_writes_the_page_and_the_best_controller(
 def test_a_report_says_what_rows_met_where_that_is_swept(finished: Finished) -> None:
     plan = finished[1].plan
     assert (world_words(finished[1]), length_words(finished[1])) == ("linear loop", "1 s")
+    assert "the last 1 s of the residual" in note(finished[1], 3), "no more than a run has"
     axes = (SweepAxis("physics", "choice", ("linear", "wam")), SweepAxis("duration", "list", (0.5, 2.0), True))
     space = SweepSpace("grid", tuple((axis,) for axis in axes), 4, 0, plan.space.horizons)
     swept = Plan({**plan.canonical, "space": msgspec.to_builtins(space)})

@@ -140,6 +140,8 @@ def test_what_limits_it_in_words(result: TuneResult, study: Study) -> None:
     assert f"fall by some {100 * (1 - 1.1**-0.5):.1f} %" in active
     assert "all but 20 %" in slope
     assert "friction 40.0 mN (64 % of its power), noise 10.0 mN (4 % of its power)" in parts
+    free, _ = limits_text(result, study._replace(limits=LimitStudy([], 1.0)))
+    assert free.startswith("No hard goal is active"), "so none balances anything"
 
 
 def test_a_parameter_that_rests_at_its_bound_is_told(result: TuneResult, study: Study) -> None:

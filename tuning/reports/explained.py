@@ -59,7 +59,7 @@ def limits_text(result: TuneResult, found: Study) -> Iterator[str]:
         yield f"{resting}: no slope and no price here tells what lies beyond."
     if not found.limits.active:
         yield "No hard goal is active: more steps, wider bounds or another structure may improve it."
-    if np.isfinite(found.limits.unexplained):
+    elif np.isfinite(found.limits.unexplained):
         yield (
             f"Active goals balance all but {100 * found.limits.unexplained:.0f} % of the score's slope. The more is "
             "left, the rougher are these estimates: more steps may still help, or the worst case stands at a kink."

@@ -79,12 +79,11 @@ def _goals(result: TuneResult) -> Section:
     for row in rows(result):
         place = f"{row.at:.4g}" if row.at else ""
         lines.append([f"{row.kind}: {row.text}", *(f"{value:.4g}" for value in row.reached), row.said, place])
-    kind = "the ideal loop" if spec.ideal else "the loop as it runs"
+    kind, seen = "the ideal loop" if spec.ideal else "the loop as it runs", len(spec.tune.train_seeds)
     words = (
         f"Margins are those of {kind}, the worst over all tissues; goals of the runs are the worst of the held-out "
         "scenarios, ratios of those that the controller before held. Hard goals are held, soft ones minimised: "
-        f"{spec.risk.kind} over {len(spec.tune.train_seeds)} "
-        "scenarios in training."
+        f"{spec.risk.kind} over {seen} scenario{'s' * (seen != 1)} in training."
     )
     if spec.implied:
         words += " Implied ones are not in the job: freezing for a robot demands them."
