@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmpc.beside import Beside
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, check_type
 from jaxmpc.status import Status
 from jaxmpc.terminal.progress import Tick
 from jaxmpc.terminal.progress import progress as progress_of
@@ -81,10 +81,11 @@ def run(
         Every row; those that are there, where chunks were set aside or somebody stopped it.
 
     Raises:
-        InputError: The folder belongs to something else, or an argument is out of bounds.
+        InputError: The spec is none, the folder belongs to something else, or an argument is out of bounds.
         SweepStoppedError: A chunk could not be computed, and `spec.on_error` is "stop".
         OSError: The folder cannot be written, or the disk is full.
     """
+    check_type("spec", spec, SweepSpec, "Read one with SweepSpec.from_toml(FILE).")
     folder, plan, started = Path(folder), make_plan(spec), threading.Event()
     chunk = None if chunk is None else check_chunk(plan, chunk)
     part = check_part(part)

@@ -10,7 +10,7 @@ from msgspec.structs import replace as changed
 from jaxmpc import described
 from jaxmpc.experiment import Experiment
 from jaxmpc.experiment.job import experiment_table, params_table
-from jaxmpc.files.errors import InputError, counted, nearest
+from jaxmpc.files.errors import InputError, check_table, counted, nearest
 from jaxmpc.files.toml import convert, known_keys, known_tables, located, read_toml
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.sampling import check_sampling
@@ -94,6 +94,7 @@ class SweepSpec:
             InputError: A key is unknown, a value of the wrong type or out of bounds, or a part of the controller does
                 nothing at a row's sampling time.
         """
+        check_table("spec", data)
         known_tables(data, ("experiment", "params", "sweep", "refine"))
         if "sweep" not in data:
             raise InputError("sweep", "missing", "a table", 'Add [sweep] with kind = "grid" and [sweep.axes].')

@@ -4,11 +4,12 @@ from pathlib import Path
 
 from jaxmpc.beside import Beside
 from jaxmpc.files.alone import alone_in
+from jaxmpc.files.errors import check_type
 from jaxmpc.xla.precision import in_float64
 from tuning.job.risk import Risk
 from tuning.job.scenarios import Scenarios
 from tuning.job.settings import TuneSettings
-from tuning.job.spec import TuneSpec
+from tuning.job.spec import MAKE_SPEC, TuneSpec
 from tuning.proof.ahead import programs
 from tuning.proof.result import TuneResult, assess, assess_and
 from tuning.reports.explained import study
@@ -49,8 +50,10 @@ def tune(spec: TuneSpec, folder: str | Path | None = None, progress: bool = Fals
         The tuned parameters with the comparison on held-out scenarios.
 
     Raises:
-        InputError: The folder holds the state of another spec, or a damaged one, or another process works in it.
+        InputError: The spec is none, the folder is a file, holds the state of another spec or a damaged one, or another
+            process works in it.
     """
+    check_type("spec", spec, TuneSpec, MAKE_SPEC)
     place = None if folder is None else Path(folder)
     with alone_in(place), threads() as pool:
         history = run_search(spec, place, progress, programs, pool)

@@ -1,6 +1,7 @@
 """A frozen controller as a file: sealed npz, canonical JSON header, golden trace that is replayed at every load."""
 
 import os
+import shlex
 import stat
 from pathlib import Path
 from typing import Any
@@ -127,7 +128,8 @@ def check_kind(path: Path) -> None:
         InputError: It is a folder or a device, or a file of parameters.
     """
     if path.suffix == ".toml":
-        remedy = f"If it holds parameters, `jaxmpc freeze {path} --experiment table-1-wam -o controller.npz` makes one."
+        command = f"jaxmpc freeze {shlex.quote(str(path))} --experiment table-1-wam -o controller.npz"
+        remedy = f"If it holds parameters, `{command}` makes one."
         raise InputError("artifact", path, "a frozen controller (.npz)", remedy)
     if path.exists() and not path.is_file():
         raise InputError("artifact", path, "a file", "It is a folder or a device.")

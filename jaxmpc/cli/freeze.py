@@ -3,6 +3,7 @@
 import argparse
 import math
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -78,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     if artifact.arm is not None:
         limit = artifact.arm.limits.force
         print(f"drives a {artifact.arm.robot}; a force above {limit:g} N ends the run (docs/robot.md)")
-    print(f"`jaxmpc check {args.output}` replays it anywhere")
+    print(f"`jaxmpc check {shlex.quote(str(args.output))}` replays it anywhere")
     return 0
 
 
@@ -96,7 +97,7 @@ def _chosen(args: argparse.Namespace) -> "tuple[Params, Experiment]":
         raise InputError("--row", args.row, "given with the folder of a sweep", f"{folder} is none: leave --row out.")
     if args.row is None:
         if swept:
-            remedy = f"Add --row N; `jaxmpc sweep best {folder}` lists the best."
+            remedy = f"Add --row N; `jaxmpc sweep best {shlex.quote(str(folder))}` lists the best."
             raise InputError("--row", "missing", "the row of the sweep to freeze", remedy)
         return params_from(args.params), experiment_from(args.experiment or EXPERIMENT)
     from sweeps.result import Result

@@ -21,13 +21,17 @@ def alone_in(folder: Path | None) -> Iterator[None]:
         folder: Of the results; None holds nothing.
 
     Raises:
-        InputError: Another process holds it.
+        InputError: Another process holds it, or a file is in its place.
         OSError: It cannot be made or opened.
     """
     if folder is None:
         yield
         return
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        remedy = "A file is in its place: choose another with -o."
+        raise InputError("output folder", folder, "a folder", remedy) from None
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         try:

@@ -122,9 +122,9 @@ def test_what_is_no_file_is_refused(tmp_path, capsys):
 
 
 def test_what_can_be_no_controller_is_wrong_input(tmp_path, capsys):
-    (tmp_path / "best.toml").write_text("[params]")
+    (tmp_path / "my best.toml").write_text("[params]")
     for path, words in (
-        (tmp_path / "best.toml", "`jaxmpc freeze"),
+        (tmp_path / "my best.toml", f"`jaxmpc freeze '{tmp_path}/my best.toml' --experiment"),
         (tmp_path, "folder"),
         (Path("/dev/null"), "device"),
     ):

@@ -19,6 +19,16 @@ NO_COUNTS = (0, -1, 2.0, "2", None, True, np.nan, np.array([1]))
 NAN = float("nan")
 
 
+@pytest.mark.parametrize("wrong", ["spec.toml", None, 3])
+def test_what_is_no_sweep_is_told(wrong: Any, tmp_path: Path) -> None:
+    """The path of a spec in place of the spec was "'str' object has no attribute 'experiment'"."""
+    with pytest.raises(InputError, match=r"must be of the type SweepSpec.*SweepSpec\.from_toml"):
+        run(wrong, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+    with pytest.raises(InputError, match="must be a table"):
+        SweepSpec.from_dict(wrong)
+
+
 @pytest.mark.parametrize("n", NO_COUNTS)
 def test_the_best_are_counted(finished: Finished, n: Any) -> None:
     """The best −1 were all but the worst."""

@@ -32,8 +32,11 @@ def test_a_row_is_frozen_as_it_was_swept(finished: Finished, tmp_path: Path) -> 
 
 def test_what_is_no_row_is_refused(finished: Finished, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, path = str(finished[0]), tmp_path / "c.npz"
+    spaced = tmp_path / "my sweep"
+    spaced.symlink_to(folder)
     for words, told in (
         ([folder], ["--row", "missing", f"jaxmpc sweep best {folder}"]),
+        ([str(spaced)], [f"jaxmpc sweep best '{spaced}'"]),
         ([folder, "--row", "999999"], ["row", "999999"]),
         (["text", "--row", "1"], ["--row", "folder of a sweep"]),
         ([str(tmp_path)], ["tuning folder", "params.toml"]),

@@ -59,6 +59,10 @@ def test_a_folder_is_free_again_and_one_that_cannot_be_locked_is_used(
         pass
     with alone_in(new), alone_in(None):
         assert new.is_dir()
+    (new / "file").touch()
+    for taken in (new / "file", new / "file" / "within"):
+        with pytest.raises(InputError, match="must be a folder"), alone_in(taken):
+            pass
 
     def unable(*_: Any) -> None:
         raise OSError(9, "Bad file descriptor")

@@ -8,7 +8,7 @@ import pytest
 
 from jaxmpc import Experiment, Params
 from jaxmpc.files.errors import InputError
-from tuning import Scenarios, TuneSettings, TuneSpec
+from tuning import Scenarios, TuneSettings, TuneSpec, pareto, tune
 from tuning.job.space import FREE
 
 
@@ -202,6 +202,16 @@ def test_python_meets_the_same_checks() -> None:
     spec = TuneSpec.from_dict({})
     with pytest.raises(InputError, match="one controller"):
         TuneSpec(spec.experiment, Params.stack([spec.params, spec.params]))
+
+
+@pytest.mark.parametrize("wrong", ["tune.toml", None, 3])
+def test_what_is_no_job_is_told(wrong: Any) -> None:
+    """The path of a job in place of the job was "'str' object has no attribute 'tune'"."""
+    for asked in (tune, pareto):
+        with pytest.raises(InputError, match=r"must be of the type TuneSpec.*TuneSpec\.from_toml"):
+            asked(wrong)
+    with pytest.raises(InputError, match="must be a table"):
+        TuneSpec.from_dict(wrong)
 
 
 def test_numbers_of_numpy_make_the_same_job() -> None:

@@ -28,6 +28,9 @@ from tuning.job.settings import TuneSettings
 from tuning.job.space import FREE, KNOTS, Bounds, SearchSpace, axis_of
 from tuning.job.tables import HARD, SOFT, read_tables
 
+MAKE_SPEC = "Read one with TuneSpec.from_toml(FILE)."
+"""What to do about a job that is none."""
+
 
 class TuneSpec(msgspec.Struct, frozen=True, dict=True):
     """A tuning job; `from_toml`, or built in Python.

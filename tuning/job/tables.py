@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxmpc.experiment.job import experiment_table, params_table
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, check_table
 from jaxmpc.files.toml import convert, known_keys, known_tables, without_arrays
 from jaxmpc.quantities import HIGHEST_M_S
 from tuning.job.axes import free_table
@@ -30,6 +30,7 @@ def read_tables(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     Raises:
         InputError: Names key, value, bound and remedy.
     """
+    check_table("job", data)
     data = without_arrays(data)
     known_tables(data, ("experiment", "params", "baseline", "tune", "goals", "scenarios", "risk", "pareto"))
     tune, goals = dict(data.get("tune", {})), dict(data.get("goals", {}))

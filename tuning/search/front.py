@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxmpc import described
 from jaxmpc.files.alone import alone_in
-from jaxmpc.files.errors import InputError
+from jaxmpc.files.errors import InputError, check_type
 from jaxmpc.files.sealed import digest, write_atomic
 from jaxmpc.metrics import Metrics
 from jaxmpc.pictures.figures import figure
@@ -23,7 +23,7 @@ from jaxmpc.synthesis.params import Params
 from jaxmpc.xla.precision import in_float64
 from tuning.job.goals import GOALS
 from tuning.job.space import KNOTS
-from tuning.job.spec import TuneSpec
+from tuning.job.spec import MAKE_SPEC, TuneSpec
 from tuning.objective.problem import problem_of, training
 from tuning.search.optimise import descend, schedule
 from tuning.search.run import run_search
@@ -70,9 +70,10 @@ def pareto(
         z: Where every point starts, (size,); None tunes the job first.
 
     Raises:
-        InputError: The job has no such limits, the folder holds the state of another job, or another process works
-            in it.
+        InputError: The job is none or has no such limits, the folder is a file or holds the state of another job, or
+            another process works in it.
     """
+    check_type("spec", spec, TuneSpec, MAKE_SPEC)
     if not spec.pareto:
         raise InputError("pareto", "empty", "a table of limits", "Give some, such as M_s = [1.6, 2.0, 3.0].")
     place = None if folder is None else Path(folder)
