@@ -34,11 +34,12 @@ def run(args: argparse.Namespace) -> int:
             print("\n".join(found))
             continue
         print("\n" * (number > 0) + title)
-        indent = 4 + max(map(len, found))
-        width = max(shutil.get_terminal_size().columns, 2 * indent)
+        indent, width = 4 + max(map(len, found)), shutil.get_terminal_size().columns
         for name, text in found.items():
-            said = textwrap.fill(f"  {name}".ljust(indent) + text, width, subsequent_indent=" " * indent)
-            print(said)
+            if width < 2 * indent:  # too narrow for two columns: the text goes below its name
+                print(f"  {name}\n{textwrap.indent(textwrap.fill(text, max(width - 4, 16)), ' ' * 4)}")
+            else:
+                print(textwrap.fill(f"  {name}".ljust(indent) + text, width, subsequent_indent=" " * indent))
     return 0
 
 

@@ -87,6 +87,16 @@ def test_prose_is_folded_between_words(columns: int, monkeypatch: pytest.MonkeyP
     assert text.endswith(f"{'x' * 200}\n\rstatus\n\nend\n")
 
 
+def test_a_list_fits_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Wider than the terminal, its lines were folded once more: a word or two of each stood at its edge."""
+    monkeypatch.setenv("COLUMNS", "40")
+    assert main(["list", "jobs"]) == 0
+    title, *lines = capsys.readouterr().out.splitlines()
+    assert title.startswith("jobs")
+    assert max(map(len, lines)) <= 40
+    assert all(line.startswith("  ") for line in lines)
+
+
 def test_what_is_no_terminal_is_left_alone(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list", "tissues"]) == 0
     assert "\n" in capsys.readouterr().out

@@ -116,6 +116,17 @@ def test_what_is_printed_from_a_dark_screen_can_be_read(chrome: Opened, small: P
     page.emulate_media(media="screen", color_scheme="light")
 
 
+def test_stability_over_controllers_names_no_tissue(chrome: Opened, tmp_path: Path) -> None:
+    path, made = tmp_path / "trials.html", report(FEW)
+    assert made.rows is not None
+    write_report(replace(made, rows=replace(made.rows, group="controller")), path)
+    chrome.open(path)
+    part = chrome.page.locator("section", has=chrome.page.locator("h2", has_text="Stability over controller"))
+    said = part.inner_text() + str(part.locator("[role=img]").get_attribute("aria-label"))
+    assert "stable for a controller" in said
+    assert "tissue" not in said
+
+
 def test_foreign_text_stays_text(chrome: Opened, small: Path) -> None:
     chrome.open(small)
     page = chrome.page

@@ -97,7 +97,7 @@ function stabilityView(state, box) {
   const picture = element("div", { className: "chart tall", role: "img" });
   box.append(
     element("div", { className: "bar" }, choice("Upwards", parameters.map((each) => [each.name, heading(each)]), name, (chosen) => { name = chosen; entry.draw(); })),
-    picture, element("p", { className: "note" }, "Share of the rows that the filters leave which are stable on a tissue and keep the limits of the margins there; × where some are stable but none keeps them."));
+    picture, element("p", { className: "note" }, `Share of the rows that the filters leave which are stable for a ${rows.group} and keep the limits of the margins there; × where some are stable but none keeps them.`));
 
   function option(colors) {
     const cell = cellsOf(state.measures.get(name)), filled = [], empty = [];
@@ -117,7 +117,7 @@ function stabilityView(state, box) {
         else if (count) empty.push([t, at, 0]);
       });
     });
-    picture.setAttribute("aria-label", `share of stable rows over ${name} and tissue`);
+    picture.setAttribute("aria-label", `share of stable rows over ${name} and ${rows.group}`);
     const percent = (share) => `${(100 * share).toFixed(share > 0 && share < 0.01 ? 2 : 0)} %`;
     return mapOption(colors, rows.tissues, cell.names, { filled, empty }, { low: 0, high: 1, log: false }, rows.group, heading(state.measures.get(name)),
       (value) => (value.length < 4 ? "none is stable" : `stable ${percent(value[3])}, margins kept ${percent(value[2])}`));
