@@ -89,7 +89,7 @@ def run(
     folder, plan, started = Path(folder), make_plan(spec), threading.Event()
     chunk = None if chunk is None else check_chunk(plan, chunk)
     part = check_part(part)
-    if not 0.0 < silence < math.inf:
+    if not (isinstance(silence, int | float | np.number) and 0.0 < silence < math.inf):
         raise InputError("silence", silence, "positive and finite [s]", f"{SILENCE:g} s are usual.")
 
     def computed(plan: Plan, folder: Path, chunk: int | None, stop: Callable[[], bool]) -> Result:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxmpc.files.errors import counted
+from jaxmpc.files.errors import InputError, counted
 from sweeps import chunks
 from sweeps.leases import Leases, Stretch
 from sweeps.plan import Plan
@@ -21,9 +21,13 @@ def check_part(part: tuple[int, int]) -> tuple[int, int]:
     Raises:
         InputError: There is no such part.
     """
-    k, n = part
-    n = counted("part", n, "Write (2, 3) for the second of three.")
-    return counted("part", k, f"There are {n} parts.", 1, n), n
+    remedy = "Write (2, 3) for the second of three."
+    try:
+        k, n = part
+    except (TypeError, ValueError):
+        raise InputError("part", part, "two numbers, k and n", remedy) from None
+    n = counted("part", n, remedy)
+    return counted("part", k, f"Parts count from 1 to {n}.", 1, n), n
 
 
 class Share:

@@ -65,8 +65,8 @@ def test_a_run_takes_numbers_of_numpy(spec: SweepSpec, finished: Finished, tmp_p
     ("key", "value"),
     [
         *(("chunk", value) for value in (0, -1, 2.0, True, "2")),
-        *(("part", value) for value in ((0, 2), (3, 2), (-1, 2), (1, 0), (1.5, 2), (1, "2"))),
-        *(("silence", value) for value in (0.0, -1.0, NAN, float("inf"))),
+        *(("part", value) for value in ((0, 2), (3, 2), (-1, 2), (1, 0), (1.5, 2), (1, "2"), 3, None, (1, 2, 3))),
+        *(("silence", value) for value in (0.0, -1.0, NAN, float("inf"), "60", None)),
     ],
 )
 def test_a_run_refuses_other_numbers_before_it_writes(spec: SweepSpec, tmp_path: Path, key: str, value: Any) -> None:
