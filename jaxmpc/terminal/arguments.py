@@ -63,7 +63,8 @@ def experiment_from(text: str) -> "Experiment":
     from jaxmpc.experiment import Experiment
     from jaxmpc.synthesis.published import SETS
 
-    if _is_path(text) and not Path(text).is_dir():
+    # A folder may have an experiment's name; what no name is like is read, and the error says that it is a folder.
+    if text.endswith(".toml") or "/" in text or Path(text).is_file():
         return Experiment.from_toml(text)
     if text in SETS:
         remedy = f"{text} is a controller (for --params); name what it is to meet, table-1-wam say."

@@ -106,6 +106,9 @@ def test_a_published_name_is_that_whatever_folder_lies_here(tmp_path: Path, monk
         (tmp_path / name).mkdir()
     assert params_from("cautious").to_dict() == Params.published("cautious").to_dict()
     assert experiment_from("table-1").to_dict() == Experiment.published("table-1").to_dict()
+    Path("mine.toml").mkdir()
+    with pytest.raises(InputError, match="Is a directory"):
+        experiment_from("mine.toml")
 
 
 def test_controllers_come_from_everywhere(tuned: Path) -> None:
