@@ -128,7 +128,7 @@ def read_again(folder: Path, again: Plan) -> Columns:
         again: These rows in float64.
     """
     found, there = chunks.read_chunks(folder_of(folder, again), again)
-    return {name: values[there] for name, values in found.items()}
+    return {name: values[there] for name, values in found.items()} | {IN_FLOAT64: np.full(int(there.sum()), True)}
 
 
 def with_decided(
@@ -146,6 +146,6 @@ def with_decided(
     merged: Columns = {}
     for name, values in columns.items():
         merged[name] = values.astype(np.float64 if name in exact else values.dtype)
-        merged[name][places] = True if name == IN_FLOAT64 else found[name]
+        merged[name][places] = found[name]
     before = {name: values[places] for name, values in columns.items()}
     return merged, Decided(again, before, dict(found))

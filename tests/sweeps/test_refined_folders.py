@@ -157,6 +157,28 @@ def test_ctrl_c_in_the_last_round_of_a_stage_leaves_what_comes_after_it(tmp_path
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+class InterruptedAround(Alone):
+    """Ctrl-C once the rows around a front are computed, none of which has run once more."""
+
+    def work(self, plan: Plan, share: Share, leases: Leases, pace: Pace, stop: Stop) -> Iterator[ComputedChunk]:
+        for piece in super().work(plan, share, leases, pace, stop):
+            if plan.space.kind == "grid":
+                os.kill(os.getpid(), signal.SIGINT)
+            yield piece
+
+
+def test_ctrl_c_in_a_round_around_a_front_is_no_error(tmp_path: Path) -> None:
+    """Of the first stage float64's rows had a column that those of the second lacked: it ended in a traceback."""
+    refined, folder = made(method="pareto", rounds=1, points=20, seed=5), tmp_path / "run"
+    spec = replace(refined, goal=msgspec.structs.replace(refined.goal, decide=100))
+    stopped = refine(spec, folder, gentle=True, crew=InterruptedAround)
+    assert [(name, stage.complete) for name, stage in stopped.stages] == [("0-full", True), ("1-around", False)]
+    assert stopped.decided is not None
+    assert 0 < len(stopped.decided.after["row"]) < len(stopped.decided.plan.rows)
+    assert stopped.decided.after.keys() == sweeps.load(folder).decided.after.keys() == stopped.columns.keys()
+    assert refine(spec, folder).complete
+
+
 def test_rounds_tell_together_what_float64_decided(tmp_path: Path) -> None:
     refined = made(method="pareto", rounds=1, points=20, seed=5)
     found = refine(replace(refined, goal=msgspec.structs.replace(refined.goal, decide=100)), tmp_path / "run")
