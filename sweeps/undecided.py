@@ -28,8 +28,6 @@ AVERAGING = 4.0
 """Scored time below which errors grow [s]."""
 IN_FLOAT64 = "in_float64"
 """Column of a result: whether a row ran in float64."""
-_JUDGED = (Status.UNSTABLE, Status.ILL_POSED)
-"""What margins say."""
 _UNTOLD = (Status.DIVERGED, Status.LOST_CONTACT)
 """No metric tells how near a row was to another end."""
 
@@ -57,13 +55,12 @@ def undecided(plan: Plan, columns: Mapping[str, np.ndarray], goal: SweepGoal | N
     amplified = amplification(plan, columns)
     chance = ~certain[:, None] & (np.isin(status, _UNTOLD) | _saturated(columns))
     near = ~certain[:, None] & _near_limits(plan, columns) | chance
-    near &= ~np.isin(status, _JUDGED)
-    untold = chance.any(axis=1) & near.any(axis=1)
+    untold = chance.any(axis=1)
     may, sure = ((status == Status.OK) | near).all(axis=1), (status == Status.OK).all(axis=1) & ~near.any(axis=1)
-    borderline, hopeless = np.zeros(len(may), bool), np.isin(status, _JUDGED).any(axis=1)
+    borderline, hopeless = np.zeros((2, len(may)), bool)
     for name, limit in goal.constraints.items():
         found, ceiling = _interval(columns, name, amplified), limit if MEASURED[name].ceiling else -limit
-        borderline |= (found.low <= ceiling) & (ceiling < found.high)
+        borderline |= ceiling < found.high
         may, sure = may & (found.low <= ceiling), sure & (found.high <= ceiling)
         if name in MARGINS:
             hopeless |= ~(found.low <= ceiling)
