@@ -179,7 +179,8 @@ def _refine(data: Any, spec: SweepSpec, folder: Path) -> RefineTable:
     stages = tuple(changed(stage, experiment=_beside(stage.experiment, folder)) for stage in table.stages)
     rerun = table.rerun and changed(table.rerun, experiment=_beside(table.rerun.experiment, folder))
     table = changed(table, stages=stages, rerun=rerun)
-    for key, wanted in (("stages", "halving"), ("rounds", "pareto"), ("points", "pareto"), ("goals", "pareto")):
+    for key in ("stages", "rounds", "points", "goals", "seed"):
+        wanted = "halving" if key == "stages" else "pareto"
         if key in data and table.method != wanted:
             raise InputError(f"refine.{key}", "given", f'given with method = "{wanted}"', f"Remove {key}.")
     if table.method == "halving" and not table.stages:

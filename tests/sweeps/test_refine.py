@@ -180,6 +180,7 @@ def test_the_best_rows_run_once_more_on_the_arm(tmp_path: Path) -> None:
     [
         ({"method": "halving"}, ["refine.stages", "one stage or more"]),
         ({"method": "pareto", "stages": [STAGE]}, ["refine.stages", 'method = "halving"']),
+        ({"method": "halving", "stages": [STAGE], "seed": 3}, ["refine.seed", 'method = "pareto"']),
         ({"method": "pareto", "goals": ["rms", "Ms"]}, ["refine.goals", "Did you mean 'M_s'"]),
         ({"method": "pareto", "goals": []}, ["refine.goals", "at least one goal"]),
         ({"method": "halving", "stages": [{"keep": 5}, {"keep": 6}]}, ["ever fewer rows"]),
