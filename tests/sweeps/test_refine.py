@@ -20,7 +20,7 @@ from sweeps import store
 from sweeps.axis import SweepAxis
 from sweeps.merging import merge
 from sweeps.plan import make_plan
-from sweeps.refine.proposal import around
+from sweeps.refine.proposal import REACH, around, survivors
 from sweeps.refine.run import ENTRY_BYTES, check
 from sweeps.refine.run import run as refine
 from sweeps.result import Result, merged
@@ -83,6 +83,36 @@ def test_rows_around_the_front_move_it_and_are_the_same_every_time(tmp_path: Pat
     assert any(result.decided is not None for result in rounds)
     other = refine(spec, tmp_path / "other")
     assert [result.hash for _, result in other.stages] == [result.hash for _, result in found.stages]
+
+
+def test_good_rows_go_on_first_then_those_with_margins_then_those_that_are_ok() -> None:
+    limits = {"M_s": 3.0, "chatter": 1.0}
+    plan = make_plan(SweepSpec.from_dict({**DATA, "sweep": {**DATA["sweep"], "rows": 6, "constraints": limits}}))
+    columns = {name: np.zeros((6, *column.shape), column.dtype) for name, column in plan.layout.items()}
+    columns |= {"row": plan.rows, **plan.space.columns(plan.rows)}
+    columns["rms"] += np.array([5.0, 1.0, 0.5, 0.1, 4.0, 0.6])[:, None, None]
+    columns["chatter"][1] = columns["M_s"][[2, 5]] = 4.0
+    columns["status"][3] = Status.FORCE_LIMIT
+    found = Result.of(plan, columns, np.ones(6, bool))
+    order = [4, 0, 1, 2, 5]
+    for keep in range(1, 8):
+        assert survivors(found, keep) == tuple(sorted(order[:keep]))
+
+
+def test_rows_move_by_a_tenth_of_a_range_and_half_as_far_each_round() -> None:
+    sweep = {**DATA["sweep"], "rows": 4, "axes": {"K2": {"linear": [10.0, 110.0]}, "lam": {"log": [0.01, 1.0]}}}
+    plan = make_plan(SweepSpec.from_dict({**DATA, "sweep": sweep}))
+    columns = {name: np.zeros((4, *column.shape), column.dtype) for name, column in plan.layout.items()}
+    columns |= {"row": plan.rows, "K2": np.full(4, 60.0), "lam": np.full(4, 0.1)}
+    found = Result.of(plan, columns, np.ones(4, bool))
+    for number in (1, 2, 3):
+        (K2, lam) = (
+            np.array(axis.values) for axis in around(found, plan.space.factors, ("rms",), 2000, 1, number).axes
+        )
+        for moved in ((K2 - 60.0) / 100.0, np.log(lam / 0.1) / np.log(100.0)):
+            assert moved.std() == pytest.approx(REACH / 2.0 ** (number - 1), rel=0.05)
+            assert abs(moved.mean()) < 0.1 * moved.std()
+    assert REACH == 0.1
 
 
 def test_zipped_numbers_stay_together_around_a_front(tmp_path: Path) -> None:
