@@ -115,6 +115,26 @@ def test_rows_move_by_a_tenth_of_a_range_and_half_as_far_each_round() -> None:
     assert REACH == 0.1
 
 
+@pytest.mark.parametrize(
+    ("M_s", "failed", "parents"),
+    [([2.5, 2.0, 5.0], [], {0.0, 1.0}), ([5.0, 4.5, 6.0], [], {0.0, 1.0, 2.0}), ([2.5, 2.0, 5.0], [0, 1, 2], {0.0})],
+    ids=["the good part", "all of it", "no row is OK"],
+)
+def test_rows_are_added_around_the_good_part_of_a_front(
+    M_s: list[float], failed: list[int], parents: set[float]
+) -> None:
+    sweep = {**DATA["sweep"], "rows": 3, "axes": {"K2": {"linear": [10.0, 110.0]}, "Hu": [2, 5, 10]}}
+    plan = make_plan(SweepSpec.from_dict({**DATA, "sweep": sweep}))
+    columns = {name: np.zeros((3, *column.shape), column.dtype) for name, column in plan.layout.items()}
+    columns |= {"row": plan.rows, "K2": np.array([40.0, 60.0, 80.0]), "Hu": np.array([2.0, 5.0, 10.0])}
+    columns["rms"] += np.array([2.0, 3.0, 1.0])[:, None, None]
+    columns["M_s"] += np.array(M_s)[:, None]
+    columns["status"][failed] = Status.FORCE_LIMIT
+    found = Result.of(plan, columns, np.ones(3, bool))
+    _, Hu = around(found, plan.space.factors, ("rms", "M_s"), 90, 1, 1).axes
+    assert {(2.0, 5.0, 10.0).index(value) for value in Hu.values} == parents
+
+
 def test_zipped_numbers_stay_together_around_a_front(tmp_path: Path) -> None:
     sweep = {key: value for key, value in DATA["sweep"].items() if key not in ("axes", "rows", "seed")} | {
         "kind": "grid",
