@@ -55,7 +55,7 @@ def job(**tables: dict[str, Any]) -> TuneSpec:
 def test_comparisons_run_what_was_compiled(spec: TuneSpec, monkeypatch: pytest.MonkeyPatch) -> None:
     run = Recorded()
     monkeypatch.setattr(comparison, "_run", run)
-    for rehearsed in ("flyable.rehearse", "found_controller.rehearse", "split.rehearse", "curves"):
+    for rehearsed in ("flyable.rehearse", "found.rehearse", "split.rehearse", "curves"):
         monkeypatch.setattr(f"tuning.proof.ahead.{rehearsed}", lambda *_: None)
     for program in programs(spec):
         program()

@@ -7,20 +7,19 @@ from jaxmpc.report.loops import curves
 from tuning.job.scenarios import scenarios
 from tuning.job.spec import TuneSpec
 from tuning.objective import comparison
-from tuning.proof import flyable, split
-from tuning.proof import found as found_controller
+from tuning.proof import flyable, found, split
 
 
 def programs(spec: TuneSpec) -> list[Callable[[], object]]:
     """Each compiles something that `tuning.proof.result.assess` will run, if every start reaches its goals."""
-    found: list[Callable[[], object]] = [_drawing]
-    found += [partial(each.rehearse, spec) for each in (flyable, found_controller, split)]
-    found.append(partial(curves, spec.space.base, spec.experiment, spec.ideal))
+    each: list[Callable[[], object]] = [_drawing]
+    each += [partial(part.rehearse, spec) for part in (flyable, found, split)]
+    each.append(partial(curves, spec.space.base, spec.experiment, spec.ideal))
     for seeds, candidates in ((spec.tune.validation_seeds, spec.tune.starts), (spec.tune.heldout_seeds, 1)):
         met = scenarios(spec.experiment, spec.scenarios, seeds)
         pairs = comparison.pairs_of(spec, [spec.space.exact(spec.space.encode(spec.space.base))] * candidates, met)
-        found += [partial(comparison.compile_ahead, *pair, spec.engine) for pair in pairs if met]
-    return found
+        each += [partial(comparison.compile_ahead, *pair, spec.engine) for pair in pairs if met]
+    return each
 
 
 def _drawing() -> None:
