@@ -1,12 +1,14 @@
 """Threads and processes for what goes on beside the rest, such as compiling; who fails does not wait for them."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import forkserver, get_context, resource_tracker
+from multiprocessing import forkserver, get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
+from threading import Thread
 from types import TracebackType
 from typing import Any, Self
 
@@ -105,7 +107,19 @@ def unheard() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+def end_with_parent() -> None:
+    """Have this process end as soon as the one that has begun it does, whatever it is at and however that one ends."""
+
+    def watch() -> None:
+        if parent := parent_process():
+            parent.join()
+            os._exit(0)
+
+    Thread(target=watch, daemon=True).start()
+
+
 def _answered(answer: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    end_with_parent()
     silence_libraries()
     try:
         answer.send((False, function(*arguments)))

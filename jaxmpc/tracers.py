@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.beside import heard, unheard
+from jaxmpc.beside import end_with_parent, heard, unheard
 from jaxmpc.terminal.process import may_have_a_gpu, silence_libraries, use_all_cores
 from jaxmpc.xla import store
 from jaxmpc.xla.place import on_cpu, platform
@@ -100,11 +100,13 @@ class Tracers:
 
 
 def _serve(orders: Connection, folder: Path) -> None:
+    end_with_parent()
     silence_libraries()
-    use_all_cores()
-    store.keep_in(folder)
-    jax.local_devices()  # a GPU takes its time to begin with a process
-    with suppress(EOFError, OSError):
+    # Of any type: a GPU may take no further process, or a source have changed. Who has asked then traces, and tells.
+    with suppress(Exception):
+        use_all_cores()
+        store.keep_in(folder)
+        jax.local_devices()  # a GPU takes its time to begin with a process
         while True:
             orders.send(_traced(orders.recv()))
 

@@ -36,6 +36,19 @@ program.main = main
 program.program()
 """
 
+LEFT = """
+import time
+from jaxmpc.beside import Apart
+
+def busy():
+    print("begun", flush=True)
+    time.sleep(30.0)
+
+if __name__ == "__main__":
+    with Apart(busy) as other:
+        other.result()
+"""
+
 
 def wrong(path: Path) -> None:
     raise InputError("seed", -1, bound="positive", remedy="Take another.", file=path)
@@ -64,6 +77,21 @@ def test_its_end_does_not_wait_for_the_function() -> None:
     with Apart(time.sleep, 60.0):
         pass
     assert time.monotonic() - began < 30.0
+
+
+def test_it_ends_with_a_process_that_is_killed(tmp_path: Path) -> None:
+    """At once and without a word, whatever it is at."""
+    (tmp_path / "left.py").write_text(LEFT)
+    command, environment = [sys.executable, "left.py"], os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as parent:
+        assert parent.stdout
+        assert parent.stdout.readline() == "begun\n"
+        parent.kill()
+        began = time.monotonic()
+        assert parent.communicate() == ("", "")  # of both, who also holds these pipes
+    assert time.monotonic() - began < 10.0
 
 
 def test_ctrl_c_just_before_a_wait_ends_it() -> None:

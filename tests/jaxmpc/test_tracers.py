@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +27,24 @@ HERE: list[str] = []
 T = np.linspace(0.0, 3.0, 50)
 
 LEFT = """
-import os, time
-from pathlib import Path
+import time
 from multiprocessing import active_children
+from pathlib import Path
+from jaxmpc.terminal.process import use_all_cores
 from jaxmpc.tracers import Tracers
+from jaxmpc.xla import store
+from jaxmpc.xla.once import JitOnce
+
+def slow(t):
+    Path("begun").touch()
+    time.sleep(600.0)
+    return (t,)
 
 if __name__ == "__main__":
-    Tracers(1, Path("traced"))
+    use_all_cores()
+    store.trace_with(Tracers(1, store.kept_in()))
     print(active_children()[0].pid, flush=True)
-    time.sleep(60.0)
+    JitOnce(slow)(1.0)
 """
 
 
@@ -128,39 +138,60 @@ def test_what_fails_there_fails_here(apart: Path) -> None:
     assert "cos" not in HERE
 
 
-def test_killed_ones_are_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = set(process_numbers())
+def test_one_that_fails_says_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As where a source has changed since, and has no such function; what it was to trace is traced here."""
+
+    def gone(t: Any) -> tuple[Any]:
+        HERE.append("gone")
+        return (3.0 * t,)
+
+    gone.__qualname__ = "gone"
+    monkeypatch.setattr(sys.modules[__name__], "gone", gone, raising=False)
+    before = set(active_children())
     monkeypatch.setattr(store, "_folder", tmp_path)
     monkeypatch.setattr(store, "_tracers", tracers.Tracers(1, tmp_path))
-    (pid,) = set(process_numbers()) - before
-    os.kill(pid, signal.SIGKILL)
+    (tracer,) = set(active_children()) - before
+    HERE.clear()
+    with jax.enable_x64(True):
+        np.testing.assert_array_equal(JitOnce(gone)(T)[0], 3.0 * T)
+    assert HERE == ["gone"]
+    tracer.join(10.0)
+    assert capfd.readouterr().err == ""
+
+
+def test_killed_ones_are_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = set(active_children())
+    monkeypatch.setattr(store, "_folder", tmp_path)
+    monkeypatch.setattr(store, "_tracers", tracers.Tracers(1, tmp_path))
+    (tracer,) = set(active_children()) - before
+    tracer.kill()
     HERE.clear()
     with jax.enable_x64(True):
         swung("sin"), swung("cos")
     assert HERE == ["sin", "cos"]
 
 
-def process_numbers() -> list[int]:
-    from multiprocessing import active_children
-
-    return [child.pid for child in active_children() if child.pid]
-
-
 @pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGTERM])
 def test_they_end_with_the_one_they_serve(ending: signal.Signals, tmp_path: Path) -> None:
+    """In the midst of a program, too."""
     (tmp_path / "left.py").write_text(LEFT)
     parent = subprocess.Popen(
         [sys.executable, "left.py"],
         stdout=subprocess.PIPE,
         text=True,
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": str(tmp_path)},
     )
     with parent:
         assert parent.stdout
         pid = int(parent.stdout.readline())
+        while not (tmp_path / "begun").exists() and parent.poll() is None:
+            time.sleep(0.1)
+        assert parent.poll() is None
         parent.send_signal(ending)
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + 20.0
     with suppress(ProcessLookupError):
         while time.monotonic() < deadline:
             os.kill(pid, 0)
