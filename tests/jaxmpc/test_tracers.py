@@ -26,24 +26,26 @@ HERE: list[str] = []
 """One entry for every time that this process traced."""
 T = np.linspace(0.0, 3.0, 50)
 
-LEFT = """
-import time
-from multiprocessing import active_children
+SLOW = """
+import os, time
 from pathlib import Path
+
+def slow(t):
+    Path("begun").write_text(str(os.getpid()))
+    time.sleep(600.0)
+    return (t,)
+"""
+"""A module: of `__main__`, which has another name there, nothing is traced apart."""
+LEFT = """
 from jaxmpc.terminal.process import use_all_cores
 from jaxmpc.tracers import Tracers
 from jaxmpc.xla import store
 from jaxmpc.xla.once import JitOnce
-
-def slow(t):
-    Path("begun").touch()
-    time.sleep(600.0)
-    return (t,)
+from slow import slow
 
 if __name__ == "__main__":
     use_all_cores()
     store.trace_with(Tracers(1, store.kept_in()))
-    print(active_children()[0].pid, flush=True)
     JitOnce(slow)(1.0)
 """
 
@@ -176,21 +178,18 @@ def test_killed_ones_are_not_waited_for(tmp_path: Path, monkeypatch: pytest.Monk
 @pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGTERM])
 def test_they_end_with_the_one_they_serve(ending: signal.Signals, tmp_path: Path) -> None:
     """In the midst of a program, too."""
+    (tmp_path / "slow.py").write_text(SLOW)
     (tmp_path / "left.py").write_text(LEFT)
-    parent = subprocess.Popen(
-        [sys.executable, "left.py"],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": str(tmp_path)},
-    )
-    with parent:
-        assert parent.stdout
-        pid = int(parent.stdout.readline())
-        while not (tmp_path / "begun").exists() and parent.poll() is None:
+    begun = tmp_path / "begun"
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
+    environment["JAX_ENABLE_COMPILATION_CACHE"] = "1"
+    with subprocess.Popen([sys.executable, "left.py"], cwd=tmp_path, env=environment) as parent:
+        while not (begun.exists() and begun.read_text()) and parent.poll() is None:
             time.sleep(0.1)
-        assert parent.poll() is None
+        pid = int(begun.read_text())
+        apart = pid != parent.pid
         parent.send_signal(ending)
+    assert apart
     deadline = time.monotonic() + 20.0
     with suppress(ProcessLookupError):
         while time.monotonic() < deadline:
