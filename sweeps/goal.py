@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from jaxmpc.files.errors import InputError, counted, nearest
+from jaxmpc.files.errors import InputError, check_type, counted, nearest
 from jaxmpc.files.toml import without_arrays
 from jaxmpc.quantities import HIGHEST_M_S, MARGINS, METRICS, Quantity, check_limit
 
@@ -64,6 +64,15 @@ class SweepGoal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         sense = "least" if MEASURED[self.best].ceiling else "largest"
         limits = ", ".join(f"{name} {MEASURED[name].sign} {limit:g}" for name, limit in self.constraints.items())
         return f"{sense} {self.best}" + (f" with {limits}" if limits else "")
+
+
+def check_goal(goal: Any) -> None:
+    """Refuse what is no `SweepGoal`, such as the name of what ranks.
+
+    Raises:
+        InputError: It is of another type.
+    """
+    check_type("goal", goal, SweepGoal, 'Give SweepGoal("rms", {"M_s": 2.0}).')
 
 
 def columns_kept(chosen: list[str] | None, goal: SweepGoal) -> tuple[str, ...]:

@@ -7,11 +7,11 @@ from typing import Self
 
 import numpy as np
 
-from jaxmpc.files.errors import InputError, counted, nearest
+from jaxmpc.files.errors import InputError, counted, nearest, truth
 from jaxmpc.status import Status
 from sweeps.axis import SweepAxis
 from sweeps.front import front
-from sweeps.goal import MEASURED, SweepGoal
+from sweeps.goal import MEASURED, SweepGoal, check_goal
 from sweeps.judged import worst
 from sweeps.plan import Plan
 
@@ -67,8 +67,7 @@ class SweepRows:
         Raises:
             InputError: It was not kept.
         """
-        if name not in self.plan.kept:
-            raise InputError("quantity", name, "kept by the sweep", nearest(name, list(self.plan.kept)))
+        self._check_kept(name)
         return worst(self.columns, name)
 
     def take(self, places: "np.ndarray | slice") -> Self:
@@ -79,9 +78,10 @@ class SweepRows:
         """Where a row stands in this result, by its number.
 
         Raises:
-            InputError: It is not here.
+            InputError: It is not here, or no number of a row.
         """
-        found = np.flatnonzero(self["row"] == row)
+        whole = isinstance(row, int | np.integer) and not isinstance(row, bool)
+        found = np.flatnonzero(self["row"] == row) if whole else np.zeros(0, int)
         if not len(found):
             bound = f"one of the {len(self)} rows, {self['row'].min()} … {self['row'].max()}" if len(self) else "there"
             remedy = "Rows with Hu > Hp, that a stage left behind, or not yet computed are not here."
@@ -89,14 +89,22 @@ class SweepRows:
         return int(found[0])
 
     def ranked(self, goal: SweepGoal | None = None) -> np.ndarray:
-        """Places of the good rows, the best first."""
-        goal = goal or self.goal
-        cost = self._cost(goal)
-        places = np.flatnonzero(self.good(goal))
+        """Places of the good rows, the best first.
+
+        Raises:
+            InputError: The goal is of another type, or needs what was not kept.
+        """
+        goal = self.goal if goal is None else goal
+        places, cost = np.flatnonzero(self.good(goal)), self._cost(goal)
         return places[np.argsort(cost[places], kind="stable")]
 
     def good(self, goal: SweepGoal) -> np.ndarray:
-        """Whether each row is OK at every stiffness, keeps every constraint and has what ranks, (rows,)."""
+        """Whether each row is OK at every stiffness, keeps every constraint and has what ranks, (rows,).
+
+        Raises:
+            InputError: The goal is of another type, or needs what was not kept.
+        """
+        check_goal(goal)
         # A margin may be infinitely good.
         good: np.ndarray = (self._cost(goal) < np.inf) & self._within(goal)
         return good
@@ -123,8 +131,9 @@ class SweepRows:
             feasible: Whether rows that break a constraint stay out of it.
 
         Raises:
-            InputError: A goal was not kept by the sweep.
+            InputError: A goal was not kept by the sweep, or `feasible` is no truth value.
         """
+        feasible = truth("feasible", feasible, "True leaves rows out that break a constraint.")
         names = goals or ("rms", "M_s")
         table = np.stack([self.worst(name) * (1.0 if MEASURED[name].ceiling else -1.0) for name in names], axis=1)
         places = np.flatnonzero((table < np.inf).all(axis=1) & (self.feasible if feasible else self.ok))
@@ -134,6 +143,11 @@ class SweepRows:
     def status_counts(self) -> dict[str, int]:
         """How many (row, stiffness) pairs ended in each `Status`."""
         return {status.name: int((self["status"] == status).sum()) for status in Status}
+
+    def _check_kept(self, *names: str) -> None:
+        for name in names:
+            if name not in self.plan.kept:
+                raise InputError("quantity", name, "kept by the sweep", nearest(name, list(self.plan.kept)))
 
     def _cost(self, goal: SweepGoal) -> np.ndarray:
         values = self.worst(goal.best)

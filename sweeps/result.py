@@ -31,7 +31,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.synthesis.params import Params
 from sweeps import chunks, labelled, store
 from sweeps.decided import Decided, decided_together, read_decided, with_decided
-from sweeps.goal import SweepGoal
+from sweeps.goal import SweepGoal, check_goal
 from sweeps.judged import Point, baseline_of
 from sweeps.merging import merge
 from sweeps.plan import Plan
@@ -136,7 +136,14 @@ class Result(SweepRows):
         return stiffness_met(self.plan.canonical["experiment"], self.axes, self.columns)
 
     def undecided(self, goal: SweepGoal | None = None) -> np.ndarray:
-        """Places of the rows whose status or rank is chance in float32, and that did not run in float64."""
+        """Places of the rows whose status or rank is chance in float32, and that did not run in float64.
+
+        Raises:
+            InputError: The goal is of another type, or needs what was not kept.
+        """
+        if goal is not None:
+            check_goal(goal)
+            self._check_kept(*goal.names)
         return undecided(self.plan, self.columns, goal)
 
     def controller(self, place: int) -> Params:

@@ -56,6 +56,36 @@ def test_a_place_is_one_of_a_row(finished: Finished, place: Any) -> None:
             asked(place)
 
 
+@pytest.mark.parametrize("row", [10_000, -1, 1.0, "1", None, True, [1]])
+def test_a_row_is_asked_for_by_its_number(finished: Finished, row: Any) -> None:
+    """True was row 1."""
+    with pytest.raises(InputError, match=r"^row = .*: must be one of the 120 rows"):
+        finished[1].place(row)
+    assert finished[1].place(np.int64(1)) == finished[1]["row"].tolist().index(1)
+
+
+@pytest.mark.parametrize("goal", ["x", "", 3, {"M_s": 2.0}])
+def test_a_goal_is_one(finished: Finished, goal: Any) -> None:
+    """The name of what ranks was "'str' object has no attribute 'constraints'", an empty one the goal of the spec."""
+    for asked in (finished[1].undecided, finished[1].ranked, finished[1].good):
+        with pytest.raises(InputError, match=r"^goal = .*: must be of the type SweepGoal"):
+            asked(goal)
+
+
+def test_a_goal_needs_what_was_kept(spec: SweepSpec, tmp_path: Path) -> None:
+    few = run(replace(spec, kept=("rms", "M_s")).only(np.array([3, 1])), tmp_path)
+    for asked in (few.undecided, few.ranked, few.good):
+        for goal in (SweepGoal("chatter"), SweepGoal("rms", {"chatter": 1.0})):
+            with pytest.raises(InputError, match=r"^quantity = chatter: must be kept by the sweep"):
+                asked(goal)
+
+
+def test_the_front_leaves_rows_out_or_not(finished: Finished) -> None:
+    """Any text counted as true."""
+    with pytest.raises(InputError, match=r"^feasible = no: must be true or false"):
+        finished[1].pareto(feasible="no")  # type: ignore[arg-type]  # on purpose
+
+
 @pytest.mark.parametrize("given", [{"chunk": np.int64(50)}, {"part": (np.int64(2), np.int64(2))}])
 def test_a_run_takes_numbers_of_numpy(spec: SweepSpec, finished: Finished, tmp_path: Path, given: Any) -> None:
     assert run(spec, tmp_path, **given).hash == finished[1].hash

@@ -82,6 +82,7 @@ def test_failures_are_told_with_what_happened_and_to_whom() -> None:
 def test_trials_are_on_the_tissues_of_an_experiment_that_has_its_own() -> None:
     base = Experiment.published("table-1-wam")
     assert on_own_tissues(HARD, base) == HARD
+    assert on_own_tissues(HARD, msgspec.structs.replace(base, stiffness=base.stiffness[::-1])) == HARD
     own = on_own_tissues(HARD, msgspec.structs.replace(base, stiffness=(900.0, 500.0)))
     assert own == HARD._replace(stiffness=(500.0, 900.0))
     drawn = [job(spread=own).trial(i).stiffness[0] for i in range(50)]
@@ -161,6 +162,19 @@ def test_draws_keep_to_their_ranges_and_fill_them() -> None:
     assert {job(spread=NOMINAL).trial(i).delay for i in range(20)} == {1}
     plausible = [job(spread=NOMINAL).trial(i) for i in range(20)]
     assert all(90.0 <= trial.arm.cable_hz <= 250.0 and trial.arm.substeps == 5 for trial in plausible)
+
+
+@pytest.mark.parametrize(
+    ("seed", "rare"),
+    [(0, {"harmonics", "steady/hold", "steady/cough"}), (1, {"harmonics", "steady/steady", "steady/cough"})],
+)
+def test_kinds_of_motion_have_the_parts_that_the_guide_tells(seed: int, rare: set[str]) -> None:
+    """Of the 24 motions of every block, three each of six kinds and two each of three."""
+    for first in (0, 5 * drawn.BLOCK):
+        kinds, counts = np.unique(job(seed=seed).drawn(first, drawn.BLOCK).motion, return_counts=True)
+        shares = dict(zip(kinds.tolist(), (counts / drawn.BLOCK).tolist(), strict=True))
+        assert shares == {kind: 1 / 12 if kind in rare else 1 / 8 for kind in shares}
+        assert len(shares) == len(RHYTHMS)
 
 
 def test_a_trial_depends_on_its_seed_and_number_alone() -> None:

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxmpc.files.alone import alone_in
-from jaxmpc.files.errors import InputError, counted
+from jaxmpc.files.errors import InputError, check_type, counted
 from jaxmpc.files.foreign import read_bytes
 from jaxmpc.files.sealed import LARGEST, SealError, seal, unseal, write_atomic
 from jaxmpc.terminal.progress import progress
@@ -63,10 +63,14 @@ def run(
         told: Hears of each block.
 
     Raises:
-        InputError: The count is out of bounds, or the folder holds blocks of another job or program, or another process
-            works in it.
+        InputError: The count is out of bounds, an argument of another type, nobody is tried, the folder holds blocks of
+            another job or program, or another process works in it.
     """
+    check_type("job", job, Job, "Make one with Job((params,), experiment).")
+    if not job.controllers:
+        raise InputError("controllers", "none", "at least one", "Make the job with Job((params,), experiment).")
     count = counted("trials", count, "10000 is usual.", 1, MOST)
+    check_type("folder", folder, str | Path | None, "Give a path, or None to keep none.")
     place = None if folder is None else Path(folder)
     blocks: list[Outcomes] = []
     lost, swinging = np.zeros((2, len(job.controllers)), int)

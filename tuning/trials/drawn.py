@@ -10,10 +10,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from jaxmpc.experiment import Experiment
-from jaxmpc.files.errors import InputError, counted
+from jaxmpc.files.errors import InputError, check_type, counted, within
 from jaxmpc.files.sealed import digest
+from jaxmpc.files.toml import check_built
 from jaxmpc.synthesis.params import Params
 from jaxmpc.synthesis.sampling import check_sampling
+from jaxmpc.synthesis.values import MAKE_PARAMS
 from jaxmpc.world.heart.motion import Motion
 from tuning.job.scenarios import Rhythm, Scenarios, draw, random_of, scenario
 
@@ -25,10 +27,14 @@ BLOCK = POOL * COPIES
 """Trials of a block: computed together, kept in one file."""
 FIRST_SEED = 10_000_000
 """Distance between the scenarios of two seeds, and from all that a tuner sees."""
-MOST = FIRST_SEED - 1
-"""Largest number of trials."""
+MOST = FIRST_SEED - FIRST_SEED % BLOCK
+"""Largest number of trials: those of a seed, in whole blocks."""
 STREAM = 8
 """Stream of the random numbers of a trial, apart from those of its scenario."""
+
+
+DRAWABLE = 1e-6, 1e6
+"""Between which tissues may be drawn [N/m]."""
 
 
 class Drawn(NamedTuple):
@@ -64,6 +70,26 @@ class Spread(NamedTuple):
     arms: str = "random"
     """What such arms are called."""
 
+    def check(self) -> None:
+        """Refuse ends between which nothing can be drawn.
+
+        Raises:
+            InputError: Names key, value, bound and remedy.
+        """
+        damping = self.cable_damping or (0.0, 1.0)
+        for key, ends, span in (("stiffness", self.stiffness, DRAWABLE), ("cable_damping", damping, (0.0, 1.0))):
+            try:
+                low, high = ends
+                good = span[0] <= low <= high <= span[1]
+            except (TypeError, ValueError):
+                good = False
+            if not good:
+                remedy = f"Give both: NOMINAL._replace({key}=(…, …))."
+                raise InputError(f"spread.{key}", ends, f"lowest and highest, {within(*span, '-')}", remedy)
+        counted("spread.substeps", self.substeps, "Two resolve 60 Hz, five 250 Hz.", 1, 64)
+        check_type("spread.scenarios", self.scenarios, Scenarios, "Change some of NOMINAL.scenarios.")
+        check_built(self.scenarios, "scenarios")
+
 
 STIFFNESS = 300.0, 2200.0
 """Lowest and highest of the tissues [N/m]."""
@@ -76,7 +102,7 @@ HARD = Spread(STIFFNESS, replace(_ANY, delays=(1, 2), cable_hz=(15.0, 60.0)), (0
 
 def on_own_tissues(spread: Spread, base: Experiment) -> Spread:
     """The same from the softest to the hardest of the experiment's tissues, where it has others than the paper's."""
-    if base.stiffness == Experiment().stiffness:
+    if sorted(base.stiffness) == sorted(Experiment().stiffness):
         return spread
     return spread._replace(stiffness=(min(base.stiffness), max(base.stiffness)))
 
@@ -86,15 +112,15 @@ class Job:
     """Which controllers meet which trials.
 
     Attributes:
-        controllers: One or several, of any structure.
+        controllers: One or several, of any structure, none of them a batch.
         base: An experiment on the arm; its duration, settling time and stiffness are the trials' own.
         spread: How far reality may lie from it.
         seed: Draws other trials.
         engine: Which one runs them; None is the fastest here.
 
     Raises:
-        InputError: The experiment is not on the arm ("wam"), its recording ends before a trial, or the seed is out of
-            bounds.
+        InputError: The experiment is not on the arm ("wam"), its recording ends before a trial, or anything else is of
+            another type or out of bounds.
     """
 
     controllers: tuple[Params, ...]
@@ -104,6 +130,14 @@ class Job:
     engine: str | None = None
 
     def __post_init__(self) -> None:
+        check_type("controllers", self.controllers, tuple | list, "Give (params,), or (params, other).")
+        for params in self.controllers:
+            check_type("controllers", params, Params, MAKE_PARAMS)
+            if params.batch_shape:
+                raise InputError("controllers", f"a batch {params.batch_shape}", "single ones", "Give tuple(batch).")
+        check_type("base", self.base, Experiment, 'Take Experiment.published("table-1-wam").')
+        check_type("spread", self.spread, Spread, "Take tuning.trials.NOMINAL or HARD.")
+        self.spread.check()
         if self.base.physics != "wam":
             raise InputError("physics", self.base.physics, '"wam" for trials', "Take table-1-wam, or set it so.")
         seed = counted("seed", self.seed, "Any other number draws other trials.", 0, 10**9 - 1)
@@ -122,6 +156,8 @@ class Job:
             except InputError as error:
                 remedy = f"Trials last {DURATION:g} s: set motion.repeat = true."
                 raise InputError(error.key, error.value, error.bound, remedy) from None
+        # An arm without friction has none to be drawn.
+        replace(self.spread.scenarios, friction=0.0).check(short)
         object.__setattr__(self, "base", short)
 
     @property
@@ -132,14 +168,25 @@ class Job:
         return digest([controllers, self.base.content, spread, self.seed, POOL, COPIES])
 
     def trial(self, number: int) -> Experiment:
-        """The experiment of a trial."""
+        """The experiment of a trial.
+
+        Raises:
+            InputError: It has no such number; another seed's would be drawn.
+        """
+        number = counted("trial", number, "Trials are counted from 0; another seed draws others.", 0, MOST - 1)
         drawn, shared = scenario(self.base, self.spread.scenarios, self._seed(number)), self._motion_of(number)
         stiffness, cable_damping = self._own(number)
         arm = replace(drawn.arm, cable_damping=cable_damping)
         return replace(drawn, motion=shared.motion, sensor=shared.sensor, stiffness=(stiffness,), arm=arm)
 
     def drawn(self, first: int, count: int) -> Drawn:
-        """What sets some trials apart, from the first one on: two fifths of the work of `trial` for each."""
+        """What sets some trials apart, from the first one on: two fifths of the work of `trial` for each.
+
+        Raises:
+            InputError: There are none, or no such.
+        """
+        first = counted("first", first, "Trials are counted from 0.", 0, MOST - 1)
+        count = counted("count", count, "Ask for one trial or more.", 1, MOST - first)
         arm, numbers = self.base.arm, range(first, first + count)
         shared = {number: self._motion_of(number).motion for number in set(map(motion_of, numbers))}
         motions = [shared[motion_of(number)] for number in numbers]
