@@ -75,18 +75,21 @@ class Tracers:
 
     def __call__(
         self, name: str, function: Callable[..., Any], arguments: dict[str, Any], static: dict[str, Any]
-    ) -> None:
-        """Wait until one of them has traced a program, or could not: its file then is there, or it is not.
+    ) -> bool:
+        """Wait until one of them has traced a program, and kept it if files can be written, or could not.
 
         Args:
             name: That of its file (`jaxmpc.xla.store.name_of`).
             function: Called as function(**arguments, **static).
             arguments: The arrays, by name.
             static: The rest, by name.
+
+        Returns:
+            Whether it has traced the program.
         """
         module, own = function.__module__, function.__qualname__
         if _found(module, own) is not function:
-            return
+            return False
         shapes = jax.tree.map(_shape, arguments)
         order = Order(name, module, own, shapes, static, jnp.result_type(float) == np.float64, platform() == "cpu")
         tracer = self._idle.get()
@@ -94,7 +97,8 @@ class Tracers:
             # Of any type: what cannot be sent, or whom nobody answers any more, is traced by who has asked.
             with suppress(Exception):
                 tracer.send(order)
-                heard(tracer)
+                return bool(heard(tracer))
+            return False
         finally:
             self._idle.put(tracer)
 

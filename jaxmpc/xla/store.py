@@ -37,7 +37,7 @@ PATIENCE = 20.0
 """Longest wait of a thread for another's tracing [s]: beyond it, one of them may wait for what the other holds."""
 
 _folder: Path | None = None
-_tracers: Callable[[str, Callable[..., Any], dict[str, Any], dict[str, Any]], None] | None = None
+_tracers: Callable[[str, Callable[..., Any], dict[str, Any], dict[str, Any]], bool] | None = None
 _turn = RLock()
 
 
@@ -68,7 +68,7 @@ def kept_in() -> Path | None:
     return _folder
 
 
-def trace_with(tracers: Callable[[str, Callable[..., Any], dict[str, Any], dict[str, Any]], None] | None) -> None:
+def trace_with(tracers: Callable[[str, Callable[..., Any], dict[str, Any], dict[str, Any]], bool] | None) -> None:
     """Have others trace (`jaxmpc.tracers`), or nobody: for entry points alone."""
     global _tracers
     _tracers = tracers
@@ -131,8 +131,10 @@ def program(name: str, function: Callable[..., Any], arguments: dict[str, Any], 
     leaves, tree = jax.tree.flatten(arguments)
     found, event = _kept_in(path), SAVED
     if found is None and _tracers is not None:
-        _tracers(name, function, arguments, static)
+        traced = _tracers(name, function, arguments, static)
         found, event = _kept_in(path), TRACED
+        if traced and found is None:
+            trace_with(None)  # no file can be written, and each program would be traced twice
     if found is None:
         try:
             with _in_turn():

@@ -133,6 +133,24 @@ def test_what_has_another_name_there_is_traced_here(apart: Path, monkeypatch: py
     assert HERE == ["sin"]
 
 
+def test_where_no_file_can_be_written_they_are_asked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They would trace what is then traced here once more."""
+    asked = []
+
+    def tracing(*order: Any) -> bool:
+        asked.append(order)
+        return True
+
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(store, "_folder", tmp_path / "file")
+    monkeypatch.setattr(store, "_tracers", tracing)
+    HERE.clear()
+    with jax.enable_x64(True):
+        swung("sin"), swung("cos")
+    assert HERE == ["sin", "cos"]
+    assert len(asked) == 1
+
+
 def test_what_fails_there_fails_here(apart: Path) -> None:
     with pytest.raises(KeyError, match="tan"):
         swung("tan")
