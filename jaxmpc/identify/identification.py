@@ -145,9 +145,15 @@ def _check(recording: MotionRecording, cutoff: float) -> None:
     rate = _rate(t)
     if rate < 0.999 * SLOWEST_SAMPLING_HZ:
         bound = f"at least {SLOWEST_SAMPLING_HZ:g} Hz"
-        raise InputError("sampling", f"{rate:.3g} Hz", bound, "Record faster: reversals are short.")
+        raise InputError("sampling", f"{rate:.3g} Hz", bound, "Is t in s? Else record faster: reversals are short.")
     if not 0.0 < cutoff <= rate / 12.0:
         raise InputError("cutoff", f"{cutoff:g} Hz", f"above 0 and at most {rate / 12.0:g} Hz", "Lower the cutoff.")
+    longest = 0.5 / cutoff
+    if steps.max() > longest:
+        row = int(np.argmax(steps))
+        found = f"a gap of {steps[row]:.3g} s after {t[row]:.6g} s, sample {row + 1}"
+        remedy = "Give one of its two sides alone: what the torques did meanwhile is not known."
+        raise InputError("t", found, f"without gaps above {longest:.3g} s, half a period of the cutoff", remedy)
     for joint in range(4):
         if np.ptp(q[:, joint]) < LEAST_TRAVEL:
             found = f"a span of {np.ptp(q[:, joint]):.3g} rad"
@@ -164,8 +170,9 @@ def identify(recording: MotionRecording, cutoff: float = 15.0, offsets: bool = T
         offsets: Whether a constant torque per joint is estimated too.
 
     Raises:
-        InputError: Too few samples, or too few for this cutoff; time that does not increase, sampling below 200 Hz, a
-            joint whose friction cannot be told from this motion, or torques that are none of an arm with these masses.
+        InputError: Too few samples, or too few for this cutoff; time that does not increase or has a gap, sampling
+            below 200 Hz, a joint whose friction cannot be told from this motion, or torques that are none of an arm
+            with these masses.
     """
     from jaxmpc.identify.friction_fit import Band, JointData, fit, rigid_body, smooth
 

@@ -112,3 +112,16 @@ def test_a_cutoff_that_leaves_too_little_to_fit_is_told_as_that(cutoff: float) -
 def test_a_cutoff_of_1_hz_still_tells_friction() -> None:
     found = identify(read_recording(EXAMPLES / f"{SAMPLE}.csv"), cutoff=1.0)
     np.testing.assert_allclose(found.coulomb.value, settings().coulomb, rtol=0.05)
+
+
+def test_a_gap_is_told_and_lost_samples_are_none() -> None:
+    """Splined over, half a second without samples moved the masses by seven of their standard errors."""
+    recording = read_recording(EXAMPLES / f"{SAMPLE}.csv")
+
+    def without(samples: slice) -> float:
+        return identify(type(recording)(*(np.delete(column, samples, axis=0) for column in recording))).mass_scale
+
+    with pytest.raises(InputError, match=r"t = a gap of 0.504 s after 5.328 s, sample 1333: must be without gaps"):
+        without(slice(1333, 1458))
+    whole = identify(recording)
+    assert without(slice(1333, 1340)) == pytest.approx(whole.mass_scale, abs=whole.mass_scale_error)
