@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxmpc.terminal.process import use_all_cores
 
     use_all_cores()
-    check_file("-o", args.output)
+    check_file("-o", args.output, ".npz")  # by which `compare` and `trials` tell it from parameters
     given = {name: getattr(args, name) for name in FLOOR_FLAGS}
     for name, value in given.items():
         if value is not None:

@@ -65,6 +65,7 @@ def test_wrong_parameters_exit_2_with_one_sentence(
         (["simulate", "gone.toml"], ["gone.toml", "No such file"]),
         (["simulate", "table-1", "--params", "bogus"], ["bogus", "text, printed"]),
         (["freeze", "text"], ["M_s at 375", "at most 2"]),
+        (["freeze", "cautious", "-o", "x.txt"], ["-o = x.txt", "ending in .npz"]),
         (["freeze", "printed"], ["spectral radius", "below 1"]),
     ],
 )
