@@ -26,7 +26,7 @@ from deploy.safety.overshoot import Pushes, pushed
 from deploy.safety.plausible import ForceState, force_step
 from deploy.safety.posture import displaced
 from deploy.safety.reasons import Reason
-from deploy.safety.swing import SwingState, swing_step
+from deploy.safety.swing import FAST, SwingState, swing_step
 from deploy.wam.arm import WamArm
 from deploy.wam.reading import Reading
 from deploy.wam.tip_pose import TipKinematics
@@ -129,7 +129,7 @@ class Cycle:
         self.watch = ForceWatch(controller, estimate, deepest, T_s)
         self.positions = Positions(arm, T_s, controller.runtime.velocity)
         self._hazards, self.pushes = Hazards(arm, T_s), Pushes()
-        self._swing, self._T_s, self._lied = SwingState(), T_s, False
+        self._swing, self._speeding, self._T_s, self._lied = SwingState(), SwingState(), T_s, False
         controller.runtime.start(self.positions.q)
 
     def step(self, reading: Reading, timing: CycleTiming, command: OperatorCommand) -> CycleResult:
@@ -161,12 +161,17 @@ class Cycle:
             detail = JOINTS[oldest]
         state = self.safety_state.state
         serving = driven and self._task in _SERVED
-        self._swing, swings = swing_step(self._swing, serving, qd, self.limits.joint_velocity, self._T_s)
+        self._swing, swings = swing_step(self._swing, serving, qd, FAST, self._T_s)
+        self._speeding, speeding = swing_step(self._speeding, serving, qd, self.limits.joint_velocity, self._T_s)
         if swings:
-            self.controller.soften()
-            # Of an arm that withdraws for another reason, that one stays told.
-            if danger is Reason.NONE and (state not in _WAY_OUT or self.safety_state.reason in _WELL):
-                danger, detail = Reason.JOINT_VELOCITY, f"J{1 + max(range(4), key=lambda i: abs(qd[i]))} swings"
+            self.controller.soften()  # who is but beyond a low limit needs the bandwidth, to lift the tip
+        # Of an arm that withdraws for another reason, that one stays told.
+        told = hazard is danger is Reason.NONE and (state not in _WAY_OUT or self.safety_state.reason in _WELL)
+        if told and (swings or speeding):
+            danger, detail = (
+                Reason.JOINT_VELOCITY,
+                f"J{1 + max(range(4), key=lambda i: abs(qd[i]))}{' swings' * swings}",
+            )
         if state is OperatingState.ARMED and self._posture is not None and (where := displaced(q, self._posture)):
             doubt, detail = Reason.POSTURE, detail or where
         if state in (OperatingState.CONTACT, OperatingState.RETRACT) and force is not None:

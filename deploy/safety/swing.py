@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from deploy.durations import cycles
 
-FAST = 0.7
-"""Speed that no joint has under a servo that has braked it [rad/s], unless its limit is less: healthy ones come to 0.3,
-and to 0.4 where the tip withdraws four times as fast as is usual."""
+FAST = (0.7,) * 4
+"""Speeds that no joint has under a servo that has braked it [rad/s]: healthy ones come to 0.3, and to 0.4 where the tip
+withdraws four times as fast as is usual."""
 BRAKED = 0.1
 """Time for the servo, new or softened, to brake a joint [s]."""
 CONFIRMED = 0.003
@@ -29,7 +29,7 @@ class SwingState(NamedTuple):
 
 
 def swing_step(
-    state: SwingState, serving: bool, qd: Sequence[float], limits: Sequence[float], T_s: float
+    state: SwingState, serving: bool, qd: Sequence[float], bounds: Sequence[float], T_s: float
 ) -> tuple[SwingState, bool]:
     """Take a sample.
 
@@ -37,7 +37,7 @@ def swing_step(
         state: What the last step returned; `SwingState()` at first.
         serving: Whether the servo drives the arm, by fresh positions.
         qd: Joint velocities (4,) [rad/s].
-        limits: Of their sizes (4,) [rad/s].
+        bounds: Of their sizes (4,) [rad/s]: `FAST`; or limits that are less, of which it is no swing to be beyond.
         T_s: Sampling time [s].
 
     Returns:
@@ -45,7 +45,7 @@ def swing_step(
     """
     if not serving:
         return SwingState(), False
-    fast = any(abs(v) > min(most, FAST) for v, most in zip(qd, limits, strict=True))
+    fast = any(abs(v) > most for v, most in zip(qd, bounds, strict=True))
     count = state.fast + 1 if fast and state.served >= cycles(BRAKED, T_s) else 0
     if count >= cycles(CONFIRMED, T_s, 2):
         return SwingState(), True

@@ -1,6 +1,7 @@
 """What a cycle makes of its measurements, of time that was lost and of a refusal: no twin, one arm that stands."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -281,3 +282,61 @@ def test_pushes_count_in_contact_and_on_the_way_out(standing, state):
     before = standing(OperatingState.APPROACH)
     before((0.0, 0.0, -1.5))
     assert before.cycle.pushes.measured == 0.0
+
+
+DRIVEN = {
+    OperatingState.ARMED: Task.HOLD,
+    OperatingState.APPROACH: Task.APPROACH,
+    OperatingState.CONTACT: Task.CONTROL,
+    OperatingState.RETRACT: Task.RETRACT,
+    OperatingState.STOPPED: Task.HOLD,
+}
+
+
+@pytest.mark.parametrize(
+    ("state", "reason", "speed", "ended", "detail", "softened"),
+    [
+        (OperatingState.ARMED, Reason.NONE, 0.71, Reason.JOINT_VELOCITY, "J3 swings", 1),
+        (OperatingState.APPROACH, Reason.NONE, 0.71, Reason.JOINT_VELOCITY, "J3 swings", 1),
+        (OperatingState.CONTACT, Reason.NONE, 0.71, Reason.JOINT_VELOCITY, "", 0),  # the checker's, at once
+        (OperatingState.RETRACT, Reason.FINISHED, 0.71, Reason.JOINT_VELOCITY, "J3 swings", 1),
+        (OperatingState.STOPPED, Reason.OPERATOR, 0.71, Reason.JOINT_VELOCITY, "J3 swings", 1),
+        (OperatingState.RETRACT, Reason.FORCE, 0.71, Reason.FORCE, "", 1),
+        (OperatingState.STOPPED, Reason.OVERSHOOT, 0.71, Reason.OVERSHOOT, "", 1),
+        (OperatingState.RETRACT, Reason.FINISHED, 0.51, Reason.JOINT_VELOCITY, "J3", 0),
+        (OperatingState.STOPPED, Reason.FORCE, 0.51, Reason.FORCE, "", 0),
+        (OperatingState.RETRACT, Reason.FINISHED, 0.49, Reason.FINISHED, "", 0),
+    ],
+)
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_swing_softens_the_servo_and_a_limit_that_is_less_ends_what_was_to_go_well(
+    standing, runtime, monkeypatch, state, reason, speed, ended, detail, softened, sign
+):
+    made, softer = standing(), []
+    made.cycle.limits = replace(made.cycle.limits, joint_velocity=(0.6, 0.6, 0.5, 0.6))
+    made.cycle.checker.limits = made.cycle.limits
+    monkeypatch.setattr(made.cycle.controller, "soften", lambda: softer.append(made))
+    for i in range(104):
+        made.cycle.safety_state, made.cycle._task = SafetyState(state, reason), DRIVEN[state]
+        monkeypatch.setattr(runtime, "velocity", lambda q, v=sign * speed * (i > 100): (0.1, 0.0, v, 0.0))
+        result = made((0.0, 0.0, -0.01 * (i % 7)), command=GO._replace(start=False))
+    assert (result.safety_state.reason, result.safety_state.detail, len(softer)) == (ended, detail, softened)
+
+
+@pytest.mark.parametrize(("driven", "found"), [(True, Reason.JOINT_VELOCITY), (False, Reason.NONE)])
+def test_a_swing_far_below_the_limits_ends_the_run_of_an_arm_that_is_driven(
+    standing, runtime, monkeypatch, driven, found
+):
+    made = standing(OperatingState.ARMED)
+    monkeypatch.setattr(type(made.cycle._hazards), "active", driven)
+    monkeypatch.setattr(runtime, "velocity", lambda q: (0.0, 0.0, 0.71, 0.0))
+    for i in range(104):
+        result = made((0.0, 0.0, -0.01 * (i % 7)), command=GO._replace(start=False))
+    assert result.safety_state.reason is found
+
+
+def test_a_hazard_in_the_cycle_of_a_swing_keeps_its_own_detail(standing, runtime, monkeypatch):
+    made = standing(OperatingState.ARMED)
+    monkeypatch.setattr(cycle, "swing_step", lambda state, *rest: (state, True))
+    monkeypatch.setattr(made.cycle._hazards, "judge", lambda *asked: (Reason.PUCK_FAULT, "puck 2 reports STAT 0"))
+    assert made(command=GO._replace(start=False)).safety_state.detail == "puck 2 reports STAT 0"

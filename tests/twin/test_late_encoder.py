@@ -1,5 +1,7 @@
 """An encoder that tells late has the servo swing its joint: it goes on softer, and the tip still leaves the tissue."""
 
+from dataclasses import replace
+
 import pytest
 
 from deploy.safety.reasons import Reason
@@ -31,4 +33,12 @@ def test_the_servo_swings_no_more_while_the_arm_is_held(cautious):
 def test_a_healthy_encoder_at_the_fastest_heart_changes_nothing(plain):
     flight = fly(plain, reference="0,0,-2@5", seconds=1.0, rhythm="fibrillation")
     assert flight.reason is Reason.FINISHED
+    assert flight.twin.truth().tip[2] > HIGH
+
+
+def test_a_limit_below_what_the_way_out_needs_ends_the_run_and_does_not_weaken_the_servo(plain):
+    """Softened twice, a healthy arm was held 25 mm lower, and touched the tissue for 0.4 s instead of 0.2."""
+    limits = replace(plain.arm.limits, joint_velocity=(0.05,) * 4)
+    flight = fly(plain, reference="0,0,-2@5", seconds=1.0, limits=limits, mass_scale=1.1)
+    assert flight.reason is Reason.JOINT_VELOCITY
     assert flight.twin.truth().tip[2] > HIGH
