@@ -39,7 +39,7 @@ ASTRAY = 2.0
 """How far the force in contact never is from that which is wanted [N]: premature beats bring it to 1.4 N, a sensor with
 a wrong sign passes it within some milliseconds."""
 JOINTS = ("J1", "J2 and J3 (motor 2)", "J2 and J3 (motor 3)", "J4")
-_SERVED = (Task.APPROACH, Task.RETRACT, Task.HOLD)
+_MOVED = (Task.APPROACH, Task.RETRACT)
 _WAY_OUT = (OperatingState.RETRACT, OperatingState.STOPPED)
 _WELL = (Reason.FINISHED, Reason.OPERATOR)
 _STRICTNESS = {task: Strictness.SAFE for task in Task} | {
@@ -160,18 +160,20 @@ class Cycle:
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
         state = self.safety_state.state
-        serving = driven and self._task in _SERVED
-        self._swing, swings = swing_step(self._swing, serving, qd, FAST, self._T_s)
-        self._speeding, speeding = swing_step(self._speeding, serving, qd, self.limits.joint_velocity, self._T_s)
+        # An arm that is held may be pushed as fast by hand: whoever pushes would feel a softer servo give way.
+        moved = machine.task_of(self.safety_state, 0, self._waits) in _MOVED
+        self._swing, swings = swing_step(self._swing, moved, driven, qd, FAST, self._T_s)
+        watched = moved or state is OperatingState.STOPPED
+        self._speeding, speeding = swing_step(
+            self._speeding, watched, driven, qd, self.limits.joint_velocity, self._T_s
+        )
         if swings:
             self.controller.soften()  # who is but beyond a low limit needs the bandwidth, to lift the tip
         # Of an arm that withdraws for another reason, that one stays told.
         told = hazard is danger is Reason.NONE and (state not in _WAY_OUT or self.safety_state.reason in _WELL)
         if told and (swings or speeding):
-            danger, detail = (
-                Reason.JOINT_VELOCITY,
-                f"J{1 + max(range(4), key=lambda i: abs(qd[i]))}{' swings' * swings}",
-            )
+            fastest = max(range(4), key=lambda i: abs(qd[i]))
+            danger, detail = Reason.JOINT_VELOCITY, f"J{1 + fastest}{' swings' if swings else ''}"
         if state is OperatingState.ARMED and self._posture is not None and (where := displaced(q, self._posture)):
             doubt, detail = Reason.POSTURE, detail or where
         if state in (OperatingState.CONTACT, OperatingState.RETRACT) and force is not None:

@@ -1,6 +1,6 @@
 """A servo that swings a joint: its encoder tells late, so that what should brake drives.
 
-The servo that approaches, holds and withdraws the tip turns no joint fast. One that swings passes `FAST` some 80 ms
+The servo that approaches and withdraws the tip turns no joint fast. One that swings passes `FAST` some 80 ms
 before it comes to 2 rad/s: in time to go on with less bandwidth, which bears more delay. It does go on: an arm that is
 let go sags onto the tissue that it was to leave, and one that only bears its weight waits there for the next beat.
 """
@@ -29,13 +29,14 @@ class SwingState(NamedTuple):
 
 
 def swing_step(
-    state: SwingState, serving: bool, qd: Sequence[float], bounds: Sequence[float], T_s: float
+    state: SwingState, moving: bool, fresh: bool, qd: Sequence[float], bounds: Sequence[float], T_s: float
 ) -> tuple[SwingState, bool]:
     """Take a sample.
 
     Args:
         state: What the last step returned; `SwingState()` at first.
-        serving: Whether the servo drives the arm, by fresh positions.
+        moving: Whether the servo moves the tip: else all is forgotten.
+        fresh: Whether it does so by fresh positions: else nothing is learned.
         qd: Joint velocities (4,) [rad/s].
         bounds: Of their sizes (4,) [rad/s]: `FAST`; or limits that are less, of which it is no swing to be beyond.
         T_s: Sampling time [s].
@@ -43,8 +44,10 @@ def swing_step(
     Returns:
         The next state, and whether a swing was found.
     """
-    if not serving:
+    if not moving:
         return SwingState(), False
+    if not fresh:
+        return state, False
     fast = any(abs(v) > most for v, most in zip(qd, bounds, strict=True))
     count = state.fast + 1 if fast and state.served >= cycles(BRAKED, T_s) else 0
     if count >= cycles(CONFIRMED, T_s, 2):
