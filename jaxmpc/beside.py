@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
 from threading import Thread
 from types import TracebackType
 from typing import Any, Self
@@ -38,12 +39,7 @@ class Apart:
             function: Of a module.
             *arguments: Its arguments.
         """
-        context = get_context("spawn")
-        self._answer, answer = context.Pipe(duplex=False)
-        self._process = context.Process(target=_answered, args=(answer, function, arguments), daemon=True)
-        with unheard():
-            self._process.start()
-        answer.close()
+        self._process, self._answer = spoken_with(_answered, function, arguments)
 
     def __enter__(self) -> Self:
         return self
@@ -70,6 +66,22 @@ class Apart:
         return found
 
 
+def spoken_with(function: Callable[..., None], *arguments: Any) -> tuple[BaseProcess, Connection]:
+    """A process that hears no Ctrl-C and ends with this one, and the way to speak with it.
+
+    Args:
+        function: Of a module; called there with the other end of that way, and with its arguments.
+        *arguments: These.
+    """
+    context = get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=_begun, args=(function, there, *arguments), daemon=True)
+    with _unheard():
+        process.start()
+    there.close()
+    return process, here
+
+
 def forks_of(module: str) -> BaseContext:
     """Have processes fork from one that has imported a module, which takes a core seconds; it begins with that now.
 
@@ -78,7 +90,7 @@ def forks_of(module: str) -> BaseContext:
     """
     context = get_context("forkserver")
     context.set_forkserver_preload([module])
-    with unheard():
+    with _unheard():
         forkserver.ensure_running()
     return context
 
@@ -96,7 +108,7 @@ def heard(sender: Connection) -> Any:
 
 
 @contextmanager
-def unheard() -> Iterator[None]:
+def _unheard() -> Iterator[None]:
     """Within it, processes begin that do not hear Ctrl-C, which strikes all of a terminal: they are told to end."""
     # What looks after their memory goes first: to begin that lets this thread hear Ctrl-C again.
     resource_tracker.ensure_running()
@@ -107,8 +119,8 @@ def unheard() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def end_with_parent() -> None:
-    """Have this process end as soon as the one that has begun it does, whatever it is at and however that one ends."""
+def _begun(function: Callable[..., None], there: Connection, *arguments: Any) -> None:
+    """There; it ends as soon as the one that has begun it does, whatever it is at and however that one ends."""
 
     def watch() -> None:
         if parent := parent_process():
@@ -116,11 +128,11 @@ def end_with_parent() -> None:
             os._exit(0)
 
     Thread(target=watch, daemon=True).start()
+    silence_libraries()
+    function(there, *arguments)
 
 
 def _answered(answer: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    end_with_parent()
-    silence_libraries()
     try:
         answer.send((False, function(*arguments)))
     except Exception as error:  # it is raised where the result is asked for

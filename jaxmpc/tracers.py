@@ -9,7 +9,6 @@ import os
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from importlib import import_module
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
@@ -19,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.beside import end_with_parent, heard, unheard
-from jaxmpc.terminal.process import may_have_a_gpu, silence_libraries, use_all_cores
+from jaxmpc.beside import heard, spoken_with
+from jaxmpc.terminal.process import may_have_a_gpu, use_all_cores
 from jaxmpc.xla import store
 from jaxmpc.xla.place import on_cpu, platform
 
@@ -65,13 +64,8 @@ class Tracers:
             folder: Where programs are kept.
         """
         self.folder, self._idle = folder, SimpleQueue[Connection]()
-        context = get_context("spawn")
         for _ in range(processes):
-            here, there = context.Pipe()
-            with unheard():
-                context.Process(target=_serve, args=(there, folder), daemon=True).start()
-            there.close()
-            self._idle.put(here)
+            self._idle.put(spoken_with(_serve, folder)[1])
 
     def __call__(
         self, name: str, function: Callable[..., Any], arguments: dict[str, Any], static: dict[str, Any]
@@ -104,8 +98,6 @@ class Tracers:
 
 
 def _serve(orders: Connection, folder: Path) -> None:
-    end_with_parent()
-    silence_libraries()
     # Of any type: a GPU may take no further process, or a source have changed. Who has asked then traces, and tells.
     with suppress(Exception):
         use_all_cores()

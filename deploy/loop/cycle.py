@@ -170,8 +170,8 @@ class Cycle:
         if swings:
             self.controller.soften()  # who is but beyond a low limit needs the bandwidth, to lift the tip
         # Of an arm that withdraws for another reason, that one stays told.
-        told = hazard is danger is Reason.NONE and (state not in _WAY_OUT or self.safety_state.reason in _WELL)
-        if told and (swings or speeding):
+        told = state not in _WAY_OUT or self.safety_state.reason in _WELL
+        if (swings or speeding) and told and hazard is Reason.NONE and danger is Reason.NONE:
             fastest = max(range(4), key=lambda i: abs(qd[i]))
             danger, detail = Reason.JOINT_VELOCITY, f"J{1 + fastest}{' swings' if swings else ''}"
         if state is OperatingState.ARMED and self._posture is not None and (where := displaced(q, self._posture)):

@@ -42,3 +42,12 @@ def test_a_limit_below_what_the_way_out_needs_ends_the_run_and_does_not_weaken_t
     flight = fly(plain, reference="0,0,-2@5", seconds=1.0, limits=limits, mass_scale=1.1)
     assert flight.reason is Reason.JOINT_VELOCITY
     assert flight.twin.truth().tip[2] > HIGH
+
+
+def test_lost_positions_of_another_joint_blind_it_not(plain):
+    """J4 came to 2.8 to 5.3 rad/s: each stretch of old positions took away what had been seen."""
+    lost = [f"J1:lost=3@{2.1 + 0.09 * i:.2f}" for i in range(12)]
+    flight = fly(plain, "J4:delayed=40@1.6", *lost, reference="0,0,-5@4", seconds=1.2)
+    assert flight.reason is Reason.POSITION_OLD
+    assert flight.fastest.max() < 2.0  # beyond, the safety module lets the arm go
+    assert not flight.ended.safety_state.let_go

@@ -1,6 +1,6 @@
 """What a search on the arm comes to after its spectra, made ready beside them: the arm's problem, and its programs.
 
-To compile them takes as long as to descend on the spectra, which waits for nothing of it.
+They compile from when their shapes are known, beside the program of the descent, which waits for nothing of it.
 """
 
 import os
@@ -15,7 +15,7 @@ from tuning.search import corrected
 from tuning.search.mapping import PROPOSED, spectra_of
 
 MOST = 8
-"""Programs that compile at a time: with four, `arm-tune` takes 63 s on an H200 instead of 54, since some wait."""
+"""Programs that compile at a time: of four some wait (`arm-tune`: 63 s on an H200 instead of 54); six do as well."""
 Tasks = Sequence[Callable[[], object]]
 
 
@@ -35,7 +35,7 @@ def readied(
         spec: The job.
         own: By spectra, as the descent has it, in shape.
         pool: Threads to do it.
-        after: What else to do there, when that is done.
+        after: What else to do there, after these.
     """
     rows = PROPOSED * spec.tune.starts
 

@@ -32,7 +32,7 @@ from tuning.trials.program import Met, Shared, traced_ahead, wave_program
 
 BLOCKS_OF_A_WAVE = 47
 """Blocks that a GPU runs at a time, 33 840 trials: of `family` an H100 runs 11 in 3.6 s, 23 in 4.8 and 35 in 5.5. For
-10⁵ trials an H200 takes 62 s with 47 and 67 s with 28 if nothing is compiled, else 44 s with either."""
+10⁵ trials an H200 took 62 s with 47 and 67 s with 28 if nothing is compiled (54 since), else 44 s with either."""
 COPIES_OF_A_BLOCK = 5
 """How often a GPU's memory holds what a block meets: two waves ahead, the one that runs, and two forms of that."""
 ASKED = 0.07
