@@ -39,7 +39,7 @@ ASTRAY = 2.0
 """How far the force in contact never is from that which is wanted [N]: premature beats bring it to 1.4 N, a sensor with
 a wrong sign passes it within some milliseconds."""
 JOINTS = ("J1", "J2 and J3 (motor 2)", "J2 and J3 (motor 3)", "J4")
-_MOVED = (Task.APPROACH, Task.RETRACT)
+_SERVED = (Task.APPROACH, Task.RETRACT, Task.HOLD)
 _WAY_OUT = (OperatingState.RETRACT, OperatingState.STOPPED)
 _WELL = (Reason.FINISHED, Reason.OPERATOR)
 _STRICTNESS = {task: Strictness.SAFE for task in Task} | {
@@ -160,13 +160,11 @@ class Cycle:
         if hazard is Reason.NONE and (age > machine.BRIDGED or danger is not Reason.NONE):
             detail = JOINTS[oldest]
         state = self.safety_state.state
-        # An arm that is held may be pushed as fast by hand: whoever pushes would feel a softer servo give way.
-        moved = machine.task_of(self.safety_state, 0, self._waits) in _MOVED
-        self._swing, swings = swing_step(self._swing, moved, driven, qd, FAST, self._T_s)
-        watched = moved or state is OperatingState.STOPPED
-        self._speeding, speeding = swing_step(
-            self._speeding, watched, driven, qd, self.limits.joint_velocity, self._T_s
-        )
+        task, T_s = machine.task_of(self.safety_state, 0, self._waits), self._T_s
+        served, held = task in _SERVED, task is Task.HOLD
+        self._swing, swings = swing_step(self._swing, served, driven, qd, FAST, T_s, held)
+        watched, most = served and state is not OperatingState.ARMED, self.limits.joint_velocity
+        self._speeding, speeding = swing_step(self._speeding, watched, driven, qd, most, T_s, held=False)
         if swings:
             self.controller.soften()  # who is but beyond a low limit needs the bandwidth, to lift the tip
         # Of an arm that withdraws for another reason, that one stays told.

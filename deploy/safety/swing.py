@@ -1,6 +1,6 @@
 """A servo that swings a joint: its encoder tells late, so that what should brake drives.
 
-The servo that approaches and withdraws the tip turns no joint fast. One that swings passes `FAST` some 80 ms
+The servo that approaches, holds and withdraws the tip turns no joint fast. One that swings passes `FAST` some 80 ms
 before it comes to 2 rad/s: in time to go on with less bandwidth, which bears more delay. It does go on: an arm that is
 let go sags onto the tissue that it was to leave, and one that only bears its weight waits there for the next beat.
 """
@@ -26,30 +26,35 @@ class SwingState(NamedTuple):
     """Samples since the servo took over, or was last found to swing."""
     fast: int = 0
     """Samples in a row, up to now, with a fast joint."""
+    ways: frozenset[tuple[int, bool]] = frozenset()
+    """Joints that were fast, and whether forwards."""
 
 
 def swing_step(
-    state: SwingState, moving: bool, fresh: bool, qd: Sequence[float], bounds: Sequence[float], T_s: float
+    state: SwingState, serving: bool, fresh: bool, qd: Sequence[float], bounds: Sequence[float], T_s: float, held: bool
 ) -> tuple[SwingState, bool]:
     """Take a sample.
 
     Args:
         state: What the last step returned; `SwingState()` at first.
-        moving: Whether the servo moves the tip: else all is forgotten.
+        serving: Whether the servo drives the arm: else all is forgotten.
         fresh: Whether it does so by fresh positions: else nothing is learned.
         qd: Joint velocities (4,) [rad/s].
         bounds: Of their sizes (4,) [rad/s]: `FAST`; or limits that are less, of which it is no swing to be beyond.
         T_s: Sampling time [s].
+        held: Whether the tip is to stand still. Somebody may then push it, one way: a swing turns a joint both ways.
 
     Returns:
         The next state, and whether a swing was found.
     """
-    if not moving:
+    if not serving:
         return SwingState(), False
     if not fresh:
         return state, False
-    fast = any(abs(v) > most for v, most in zip(qd, bounds, strict=True))
-    count = state.fast + 1 if fast and state.served >= cycles(BRAKED, T_s) else 0
-    if count >= cycles(CONFIRMED, T_s, 2):
-        return SwingState(), True
-    return SwingState(state.served + 1, count), False
+    now = {(i, v > 0.0) for i, (v, most) in enumerate(zip(qd, bounds, strict=True)) if abs(v) > most}
+    count = state.fast + 1 if now and state.served >= cycles(BRAKED, T_s) else 0
+    if count < cycles(CONFIRMED, T_s, 2):
+        return SwingState(state.served + 1, count, state.ways), False
+    if held and not any((i, not forwards) in state.ways for i, forwards in now):
+        return SwingState(state.served + 1, count, state.ways | now), False
+    return SwingState(), True

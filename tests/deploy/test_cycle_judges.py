@@ -323,6 +323,20 @@ def test_a_swing_softens_the_servo_and_a_limit_that_is_less_ends_what_was_to_go_
     assert (result.safety_state.reason, result.safety_state.detail, len(softer)) == (ended, detail, softened)
 
 
+@pytest.mark.parametrize(
+    ("state", "reason"), [(OperatingState.ARMED, Reason.NONE), (OperatingState.STOPPED, Reason.FINISHED)]
+)
+def test_a_swing_both_ways_softens_the_servo_that_holds(standing, runtime, monkeypatch, state, reason):
+    made, softer = standing(), []
+    monkeypatch.setattr(made.cycle.controller, "soften", lambda: softer.append(made))
+    for i in range(108):
+        made.cycle.safety_state, made.cycle._task = SafetyState(state, reason), Task.HOLD
+        monkeypatch.setattr(runtime, "velocity", lambda q, v=0.71 * ((i > 104) - (100 < i < 104)): (0.0, 0.0, v, 0.0))
+        result = made((0.0, 0.0, -0.01 * (i % 7)), command=GO._replace(start=False))
+    assert (result.safety_state.reason, result.safety_state.detail) == (Reason.JOINT_VELOCITY, "J3 swings")
+    assert len(softer) == 1
+
+
 @pytest.mark.parametrize(("driven", "found"), [(True, Reason.JOINT_VELOCITY), (False, Reason.NONE)])
 def test_a_swing_far_below_the_limits_ends_the_run_of_an_arm_that_is_driven(
     standing, runtime, monkeypatch, driven, found
@@ -337,6 +351,6 @@ def test_a_swing_far_below_the_limits_ends_the_run_of_an_arm_that_is_driven(
 
 def test_a_hazard_in_the_cycle_of_a_swing_keeps_its_own_detail(standing, runtime, monkeypatch):
     made = standing(OperatingState.ARMED)
-    monkeypatch.setattr(cycle, "swing_step", lambda state, *rest: (state, True))
+    monkeypatch.setattr(cycle, "swing_step", lambda state, *rest, **named: (state, True))
     monkeypatch.setattr(made.cycle._hazards, "judge", lambda *asked: (Reason.PUCK_FAULT, "puck 2 reports STAT 0"))
     assert made(command=GO._replace(start=False)).safety_state.detail == "puck 2 reports STAT 0"

@@ -8,11 +8,11 @@ LIMITS = (2.0, 1.9, 1.8, 0.5)
 FASTER = 1.001
 
 
-def run(speeds, T_s=1e-3, moving=lambda i: True, fresh=lambda i: True, bounds=FAST):
+def run(speeds, T_s=1e-3, moving=lambda i: True, fresh=lambda i: True, bounds=FAST, held=False):
     """In which samples a swing is found."""
     state, found = SwingState(), []
     for i, qd in enumerate(speeds):
-        state, swings = swing_step(state, moving(i), fresh(i), qd, bounds, T_s)
+        state, swings = swing_step(state, moving(i), fresh(i), qd, bounds, T_s, held)
         if swings:
             found.append(i)
     return found
@@ -54,3 +54,14 @@ def test_nobody_swings_what_is_not_driven_by_the_servo():
 def test_positions_that_are_late_now_and_then_blind_it_not():
     """Each took the memory away: with bursts of lost replies a late encoder came to 5.3 rad/s."""
     assert run(turning(1, 1.5, 300), fresh=lambda i: i % 50 < 47) == [108, 217]
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_whoever_pushes_an_arm_that_is_held_turns_a_joint_one_way(sign):
+    """A softer servo gave way to 40 N by hand: a joint came to 2.9 rad/s, and the safety module let the arm go."""
+    still, there, back = turning(0, 0.0, 200), turning(3, sign * 1.2, 100), turning(3, -sign * 1.2, 100)
+    pushed = still + there + still + turning(2, sign * 1.2, 100) + still
+    assert run(pushed, held=True) == []
+    assert run(still + there + still[:1] + back, held=True) == [303]
+    assert run(still + there + turning(2, -sign * 1.2, 100), held=True) == []
+    assert run(still + there + turning(3, -sign * 0.6, 100), held=True) == []
