@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxmpc.terminal.process import use_all_cores
 from tuning import TuneSpec
-from tuning.objective.loss import loss_of
+from tuning.objective.loss import value_alone
 from tuning.objective.problem import Problem, problem_of, training
 
 STARTS, RUNS = 16, 3
@@ -65,7 +65,7 @@ def forward(problem: Problem, z: np.ndarray) -> Callable[[], Any]:
     limits = jax.tree.map(lambda limit: jnp.broadcast_to(limit, (len(z),)), problem.data.margins)
 
     def on_device(rows: Any, data: Any) -> Any:
-        return loss_of(rows[0], data._replace(margins=rows[1]), 1.0, problem.structure)[0]
+        return value_alone(rows[0], data._replace(margins=rows[1]), 1.0, problem.structure).loss
 
     specs = (spec("device"), spec())
     mapped = jax.shard_map(on_device, mesh=mesh, in_specs=specs, out_specs=spec("device"), check_vma=False)

@@ -17,7 +17,7 @@ from benchmarks.rivals import pi
 from jaxmpc.closed_loops import ClosedLoops, close_loops
 from jaxmpc.stability.loop import contacts_of
 from tuning.job.space import SearchSpace
-from tuning.objective.loss import evaluate_goals
+from tuning.objective.evaluated import judge, run
 from tuning.objective.measures import Data, ProblemStructure
 from tuning.objective.problem import Problem
 
@@ -94,8 +94,7 @@ def pi_control(z: Array, data: Data, structure: ProblemStructure) -> ClosedLoops
 
 def judged(loops: ClosedLoops, data: Data, structure: ProblemStructure) -> ObjectiveValues:
     """Loss of closed loops, as the tuner has it; traceable."""
-    found = evaluate_goals(loops, data, structure)
-    of_margins = jnp.max(found.margins.normalised, axis=(1, 2), initial=0.0)
-    worst = jnp.max(jnp.stack([of_margins, *(jnp.max(goal, axis=1) for goal in found.hard)]), axis=0)
-    score, hard = jnp.where(found.stable, found.risk, jnp.nan), jnp.where(found.stable, worst, jnp.inf)
-    return ObjectiveValues(found.loss, score, hard)
+    margins = judge(loops, data)
+    runs = run(loops, margins.stable, data, structure)
+    hard = jnp.max(jnp.concatenate([margins.worst, runs.worst], axis=1), axis=1, initial=0.0)
+    return ObjectiveValues(margins.loss + runs.loss, jnp.where(margins.stable, runs.risk, jnp.nan), hard)

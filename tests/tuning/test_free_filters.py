@@ -14,7 +14,7 @@ from jaxmpc.stability import Margins
 from jaxmpc.stability.family import family_margins
 from jaxmpc.stability.held_beat import telling_rates
 from tuning import TuneSpec
-from tuning.objective.loss import loss_of
+from tuning.objective.loss import value_alone
 from tuning.objective.measures import Data, judged_margins
 from tuning.objective.problem import problem_of, training
 
@@ -87,7 +87,7 @@ def test_the_loss_has_slopes_of_them(small: Job) -> None:
     spec = spec_of(small, goals=goals, params={"force_cutoff": 600.0})
     problem = problem_of(spec, training(spec, [0]))
     z = spec.space.encode(spec.space.base) + np.array([0.3, -0.2, 0.2])
-    loss = jax.jit(lambda z: loss_of(z[None], problem.data, 1.0, problem.structure)[0][0])
+    loss = jax.jit(lambda z: value_alone(z[None], problem.data, 1.0, problem.structure).loss[0])
     gradient = np.asarray(jax.grad(loss)(jnp.asarray(z)))
     steps = 1e-4 * np.eye(len(z))
     expected = [

@@ -21,9 +21,10 @@ from jaxmpc.stability.loop import contact_of
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
 from tuning.job.risk import soft_worst
-from tuning.objective.loss import HEADROOM
-from tuning.objective.problem import FEWER, _held, coarser, judged_cells, problem_of, training
-from tuning.search.corrected import rows_of, shared_of, values_and_slopes
+from tuning.objective.evaluated import HEADROOM
+from tuning.objective.judged_cells import FEWER, coarser, judged_cells
+from tuning.objective.problem import _held, problem_of, training
+from tuning.search.constraints import Constraints
 from tuning.search.run import run_search
 
 Job = Callable[..., dict[str, Any]]
@@ -180,13 +181,12 @@ def test_slopes_of_risk_and_of_every_constraint_are_central_differences(of_two: 
     names, met = spec.space.names, training(spec, (0,))
     problem = problem_of(spec, met, spectral=True)
     assert problem.hard_goals == ("chatter",)
-    program = values_and_slopes(problem.structure, tuple(range(len(names))))
     z, h = spec.space.encode(spec.params), 1e-5
     # The point itself, and a step to either side along each number.
     points = z + h * np.concatenate([np.zeros((1, len(z))), np.eye(len(z)), -np.eye(len(z))])
-    values_of_all, slopes_of_all = program(rows_of(problem, points, points, None), shared_of(problem))
-    values, slopes = values_of_all[0], slopes_of_all[0]
-    ahead, behind = np.split(values_of_all[1:], 2)
+    seen = Constraints(problem, len(points))(points, None)
+    values, slopes = seen.values[0], seen.slopes[0]
+    ahead, behind = np.split(seen.values[1:], 2)
     expected = (ahead - behind).T / (2.0 * h)
     scale = np.abs(expected).max(axis=1, keepdims=True)
     assert (scale > 0.0).all(), "everything that is held can move"

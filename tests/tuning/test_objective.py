@@ -18,7 +18,8 @@ from jaxmpc.xla.precision import in_float64
 from jaxmpc.xla.shared import kind_of
 from tuning import TuneSpec
 from tuning.job.goals import margin_goals
-from tuning.objective.loss import HEADROOM, PENALTY, Values, loss_of, visible_goals, visible_soft
+from tuning.objective.evaluated import HEADROOM, PENALTY, visible_goals, visible_soft
+from tuning.objective.loss import Values, value_alone
 from tuning.objective.measures import measure
 from tuning.objective.problem import Problem, _held, problem_of, training
 from tuning.search.optimise import optimiser
@@ -121,7 +122,9 @@ def test_forward_mode_agrees_with_every_goal_violated(small: Job) -> None:
     data, kind = problem(spec)
     data = data._replace(margins={name: jnp.broadcast_to(limit, (4,)) for name, limit in data.margins.items()})
     direction = np.random.default_rng(0).standard_normal(spec.space.size)
-    forward = jax.jit(lambda z: jax.jvp(lambda z: loss_of(z, data, 3.0, kind)[0], (z,), (jnp.tile(direction, (4, 1)),)))
+    forward = jax.jit(
+        lambda z: jax.jvp(lambda z: value_alone(z, data, 3.0, kind).loss, (z,), (jnp.tile(direction, (4, 1)),))
+    )
     z = spec.space.encode(spec.params) + 0.07
     expected = central(np.asarray(forward(jnp.asarray(around(z, direction[None])))[0]))
     found = forward(jnp.tile(z, (4, 1)))[1]

@@ -18,7 +18,7 @@ from jaxmpc import Params, margins
 from jaxmpc.files.errors import InputError
 from tuning import TuneSpec, tune
 from tuning.search.ahead import threads
-from tuning.search.optimise import optimiser, schedule
+from tuning.search.optimise import optimiser, rehearse, schedule
 from tuning.search.run import run_search
 from tuning.search.state import NAME, SearchState
 
@@ -56,10 +56,22 @@ def test_a_gradient_that_is_not_finite_moves_only_the_others() -> None:
         np.testing.assert_array_equal(new[1], old[1])
 
 
+def test_a_descent_compiles_nothing_to_move_its_starts_that_was_rehearsed() -> None:
+    optimiser.cache_clear()
+    rehearse(2, 3)
+    begin, update = optimiser()
+    sizes = begin._cache_size(), update._cache_size()
+    z = np.ones((2, 3))
+    moved, memory, _ = update(z, begin(jnp.asarray(z)), z, schedule(20, False, 0.1).rates[1])
+    update(np.asarray(moved), memory, z, schedule(20, False, 0.1).rates[2])
+    assert (begin._cache_size(), update._cache_size()) == sizes
+
+
 def test_threads_that_it_is_given_may_go_on_when_a_search_is_over(monkeypatch: pytest.MonkeyPatch, small: Job) -> None:
     """What compiles there for the proof is not waited for."""
     found = run.Step("linear", SimpleNamespace(), SimpleNamespace(best=np.ones(1), closest=np.ones(1)))  # type: ignore[arg-type]
     monkeypatch.setattr(run, "problem_of", lambda *_, **__: None)
+    monkeypatch.setattr(run, "screened", lambda *_: None)
     monkeypatch.setattr(run, "proposal", lambda *_: found)
     going, spec = Event(), TuneSpec.from_dict(small())
     with threads() as pool:

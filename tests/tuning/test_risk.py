@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tuning.job.risk import ORDER, Risk, soft_worst
-from tuning.objective.loss import _geometric_mean
+from tuning.objective.evaluated import _geometric_mean
 
 VALUES = np.random.default_rng(0).uniform(0.5, 2.0, (3, 10))
 

@@ -14,11 +14,11 @@ from jaxmpc.loop.linear import HIGHEST_FORCE
 from jaxmpc.metrics import Metrics
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec, pareto
-from tuning.objective.loss import Values, value_alone
+from tuning.objective.loss import Values, run_cells, value_alone
 from tuning.objective.problem import over_starts, problem_of, training
 from tuning.proof.result import assess
 from tuning.proof.sensitivities import sensitivities, vector_of
-from tuning.search.corrected import values_and_slopes
+from tuning.search.constraints import programs_of
 from tuning.search.front import handed_on, table
 from tuning.search.run import SAME, Step, proposed, run_search
 from tuning.search.state import NAME, SearchState, check_states, load, save
@@ -69,8 +69,8 @@ def test_of_several_orders_the_one_goes_on_that_came_closest_where_none_holds_it
         state.closest = np.array([closest[which]])
         return Step("linear", None, state)  # type: ignore[arg-type]  # of which nothing is asked
 
-    monkeypatch.setattr("tuning.search.run.problem_of", lambda *_, **__: None)
-    monkeypatch.setattr("tuning.search.run.proposal", made)
+    for name, replaced in (("problem_of", lambda *_, **__: None), ("screened", lambda *_: None), ("proposal", made)):
+        monkeypatch.setattr(f"tuning.search.run.{name}", replaced)
     several = msgspec.structs.replace(spec, tune=msgspec.structs.replace(spec.tune, orders=(1, 2)))
     history = run_search(several)
     assert history.spec.params.disturbance_order == wins
@@ -198,14 +198,13 @@ def test_spectra_propose_and_the_arm_decides(on_the_arm: Callable[..., TuneSpec]
 @in_float64
 def test_what_was_compiled_beside_the_spectra_is_what_runs(on_the_arm: Callable[..., TuneSpec]) -> None:
     over_starts.cache_clear()
-    values_and_slopes.cache_clear()
+    programs_of.cache_clear()
     spec = on_the_arm(tune={"mapping": 2})
     mapping = run_search(spec).steps[-1]
     assert mapping.spectra is not None
-    for problem in (mapping.problem, mapping.spectra):
-        assert over_starts(value_alone, problem.structure).programs == 1
-    moved = tuple(np.flatnonzero(~spec.space.whole).tolist())
-    assert values_and_slopes(mapping.spectra.structure, moved).programs == 1
+    assert over_starts(value_alone, mapping.problem.structure).programs == 1
+    assert over_starts(run_cells, mapping.spectra.structure).programs == 1
+    assert [each.programs for each in programs_of(mapping.spectra.structure)] == [1, 1]
 
 
 @pytest.mark.slow

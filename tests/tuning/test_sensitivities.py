@@ -17,7 +17,8 @@ from jaxmpc.stability.response import loop_response
 from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla.precision import in_float64
 from tuning import TuneSpec
-from tuning.objective.loss import HEADROOM, PENALTY, value_and_gradient
+from tuning.objective.evaluated import HEADROOM, PENALTY
+from tuning.objective.loss import margin_slopes, run_slopes
 from tuning.objective.problem import Problem, over_starts
 from tuning.proof.gradients import SCORE, Slope, judged_on, on_tissue, slopes, values_at
 from tuning.proof.limits import limits, multipliers_of
@@ -147,9 +148,10 @@ def test_curves_show_the_worse_cut_and_end_where_the_reference_asks(spec: TuneSp
         np.testing.assert_allclose(found.sensitivity[i], max(cuts[:, i], key=np.max), rtol=1e-12)
 
 
-def compiled(problem: Problem) -> tuple[int, int]:
-    """How many functions have been dealt out, and how many programs there are of the one that descends."""
-    return over_starts.cache_info().currsize, over_starts(value_and_gradient, problem.structure).programs
+def compiled(problem: Problem) -> tuple[int, ...]:
+    """How many functions have been dealt out, and how many programs there are of those that descend."""
+    programs = (over_starts(slopes, problem.structure).programs for slopes in (margin_slopes, run_slopes))
+    return over_starts.cache_info().currsize, *programs
 
 
 @pytest.mark.oracle

@@ -12,7 +12,7 @@ from jaxmpc.quantities import MARGINS
 from jaxmpc.stability import Margins
 from jaxmpc.stability.family import family_margins
 from jaxmpc.stability.held_beat import telling_rates
-from tuning.objective.loss import HEADROOM
+from tuning.objective.evaluated import HEADROOM
 
 FAMILY = Params.published("family")
 PATH = Experiment.published("family-wam").loop_path()

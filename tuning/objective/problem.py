@@ -23,16 +23,23 @@ from tuning.job.goals import OVERSHOOT, RATIO, RUN_GOALS, run_goals
 from tuning.job.scenarios import scenarios, scene_over
 from tuning.job.space import SearchSpace
 from tuning.job.spec import TuneSpec
-from tuning.objective.loss import Values, value_alone, value_and_gradient, visible_goals, visible_soft
+from tuning.objective.evaluated import visible_goals, visible_soft
+from tuning.objective.judged_cells import judged_cells
+from tuning.objective.loss import (
+    MarginValues,
+    RunValues,
+    Values,
+    margin_slopes,
+    run_cells,
+    run_slopes,
+    together,
+    value_alone,
+)
 from tuning.objective.measures import Data, ProblemStructure, measure
 
-COARSER = 3
-"""Spectra, which only propose, judge margins at one in so many stiffnesses."""
-FEWER = (9, 3)
-"""And so many known stiffnesses of a family besides its knots, at the middle and the ends of the band."""
-
-
-FUNCTIONS = {each.__name__: each for each in (value_alone, value_and_gradient)}
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    each.__name__: each for each in (value_alone, margin_slopes, run_slopes, run_cells)
+}
 """By name: a traced program that is kept is told from others by what can be written down."""
 
 
@@ -49,32 +56,44 @@ class Problem(NamedTuple):
             z: Unconstrained parameters, (starts, size).
             width: Softness of the horizons, 1 is whole [samples].
         """
-        return self._dealt_out(value_and_gradient, z, width)
+        rows, shared = self._arguments(z, width)
+        # Its program first: that of the margins, which takes longer, may be compiling beside.
+        self.compile_runs(len(z))
+        margins: MarginValues = over_starts(margin_slopes, self.structure)(rows, shared)
+        runs: RunValues = over_starts(run_slopes, self.structure)((*rows, margins.stable), shared)
+        return together(margins, runs)
 
     def evaluate(self, z: np.ndarray) -> Values:
         """The same with whole horizons and without the gradient (NaN), at a fraction of its price."""
-        return self._dealt_out(value_alone, z, 1.0)
+        values: Values = over_starts(value_alone, self.structure)(*self._arguments(z, 1.0))
+        return values
 
     def compile_evaluation(self, starts: int) -> None:
         """Compile `evaluate` for so many starts."""
-        self._compile(value_alone, starts)
+        over_starts(value_alone, self.structure).compile(*self._arguments(self._anywhere(starts), 1.0))
 
-    def compile_slopes(self, starts: int) -> None:
-        """Compile `differentiate` for so many starts."""
-        self._compile(value_and_gradient, starts)
+    def compile_margins(self, starts: int) -> None:
+        """Compile of `differentiate` for so many starts what judges margins."""
+        over_starts(margin_slopes, self.structure).compile(*self._arguments(self._anywhere(starts), 1.0))
 
-    def corrected_by_one(self) -> "Problem":
-        """Spectra with a correction that says nothing, as if of one run (`tuning.proof.gradients`): to compile with."""
-        factors = jax.tree.map(lambda field: jnp.ones((1, *field.shape)), self.data.reference)
-        return self._replace(data=self.data._replace(correction=factors))
+    def compile_runs(self, starts: int) -> None:
+        """Compile of `differentiate` for so many starts the rest."""
+        rows, shared = self._arguments(self._anywhere(starts), 1.0)
+        over_starts(run_slopes, self.structure).compile((*rows, np.ones(starts, bool)), shared)
 
-    def _compile(self, function: Callable[..., Values], starts: int) -> None:
-        z = np.zeros((starts, SearchSpace(self.data.base, self.structure.axes).size))
-        over_starts(function, self.structure).compile(*self._arguments(z, 1.0))
+    def cells(self, z: np.ndarray, held: np.ndarray) -> Metrics:
+        """What is measured of those that hold the heart, (starts, stiffness, scenarios, 3); NaN of the others."""
+        rows, shared = self._arguments(z, 1.0)
+        found: Metrics = over_starts(run_cells, self.structure)((*rows, held), shared)
+        return found
 
-    def _dealt_out(self, function: Callable[..., Values], z: np.ndarray, width: float) -> Values:
-        values: Values = over_starts(function, self.structure)(*self._arguments(z, width))
-        return values
+    def compile_cells(self, starts: int) -> None:
+        """Compile `cells` for so many starts."""
+        rows, shared = self._arguments(self._anywhere(starts), 1.0)
+        over_starts(run_cells, self.structure).compile((*rows, np.ones(starts, bool)), shared)
+
+    def _anywhere(self, starts: int) -> np.ndarray:
+        return np.zeros((starts, SearchSpace(self.data.base, self.structure.axes).size))
 
     def _arguments(self, z: np.ndarray, width: float) -> tuple[Any, Any]:
         """What each start has of its own, and what all share."""
@@ -121,14 +140,14 @@ class Problem(NamedTuple):
 
 
 @cache
-def over_starts(function: Callable[..., Values], structure: ProblemStructure) -> OverDevices:
+def over_starts(function: Callable[..., Any], structure: ProblemStructure) -> OverDevices:
     """Compiled once per structure and shapes; each device has its share of the starts."""
     return OverDevices(_on_device, {"name": function.__name__, "structure": structure})
 
 
-def _on_device(rows: Any, shared: Any, name: str, structure: ProblemStructure) -> Values:
-    (z, margins, hard), (data, width) = rows, shared
-    return FUNCTIONS[name](z, data._replace(margins=margins, hard=hard), width, structure)
+def _on_device(rows: Any, shared: Any, name: str, structure: ProblemStructure) -> Any:
+    (z, margins, hard, *stable), (data, width) = rows, shared
+    return FUNCTIONS[name](z, data._replace(margins=margins, hard=hard), width, structure, *stable)
 
 
 def training(spec: TuneSpec, seeds: Sequence[int]) -> list[Experiment]:
@@ -213,27 +232,6 @@ def _held(spec: TuneSpec, reference: Metrics) -> Metrics:
         raise InputError("baseline", f"lost in every run{where}", "held in one at least, for ratios to it", remedy)
     found: Metrics = jax.tree.map(lambda field: jnp.where(held, field, jnp.nan), reference)
     return found
-
-
-def judged_cells(spec: TuneSpec, coarse: bool) -> tuple[np.ndarray, np.ndarray | None]:
-    """Where margins are judged: K_s, and the K̂ that a family holds there, NaN for its fixed gains [N/m].
-
-    Args:
-        spec: The job.
-        coarse: At fewer stiffnesses, the experiment's own and the knots among them.
-    """
-    own = coarser(spec) if coarse else spec.judged_at
-    if spec.params.listening is None:
-        return own, None
-    if spec.fixed_stay:
-        own = own[:0]
-    stiffness, believed = spec.judged_known(*(FEWER if coarse else ()))
-    return np.concatenate([own, stiffness]), np.concatenate([np.full(len(own), np.nan), believed])
-
-
-def coarser(spec: TuneSpec) -> np.ndarray:
-    """Fewer stiffnesses at which margins are judged, the experiment's own among them [N/m]."""
-    return np.unique(np.concatenate([spec.experiment.stiffness, spec.judged_at[::COARSER]]))
 
 
 def _scene(met: Sequence[Experiment], spectral: bool, swinging: bool) -> ScenarioData:

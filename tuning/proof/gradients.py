@@ -7,6 +7,11 @@ with limits that nothing can miss its gradient is that of the log score; with on
 
 where n counts the stiffnesses at which a margin is judged, here all the same one, and is 1 for a goal of the runs;
 those of a family, held on each tissue, are looked at on one alone (`on_tissue`).
+
+Of spectra that a run has corrected the search has compiled every constraint with its slopes
+(`tuning.search.constraints`). With limits that nothing can meet all of them count, and
+
+    ∇log g = g · ∇(1 − 1/g)
 """
 
 from collections.abc import Mapping
@@ -17,9 +22,11 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.job.goals import GOALS
-from tuning.objective.loss import PENALTY, Values
+from tuning.objective.evaluated import HEADROOM, PENALTY
+from tuning.objective.loss import Values
 from tuning.objective.problem import Problem
 from tuning.proof.found import FoundController
+from tuning.search.constraints import Constraints
 from tuning.search.mapping import corrected_at
 
 FACTOR = 1e3
@@ -54,6 +61,10 @@ def slopes(problem: Problem, z: np.ndarray, starts: int, others: np.ndarray | No
         others: Vectors whose values are wanted besides, (others, size).
     """
     others = np.empty((0, len(z))) if others is None else others
+    return (_of_loss if problem.data.correction is None else _of_constraints)(problem, z, starts, others)
+
+
+def _of_loss(problem: Problem, z: np.ndarray, starts: int, others: np.ndarray) -> dict[str, Slope]:
     names = [*problem.data.margins, *problem.hard_goals]
     own = len(names) + 1
     easier = {name: np.full(own + len(others), FACTOR) for name in (*problem.data.margins, *problem.data.hard)}
@@ -66,6 +77,33 @@ def slopes(problem: Problem, z: np.ndarray, starts: int, others: np.ndarray | No
         reached = float(seen.hard[i + 1, i])
         gradient = (seen.gradient[i + 1] - seen.gradient[0]) * reached / (PENALTY * copies)
         found[name] = Slope(reached / FACTOR, gradient, seen.hard[own:, i] * FACTOR)
+    return found
+
+
+def _of_constraints(problem: Problem, z: np.ndarray, starts: int, others: np.ndarray) -> dict[str, Slope]:
+    vectors = np.concatenate([z[None], others])
+    harder = {
+        name: _moved(problem, name, np.array(1.0 / FACTOR)) for name in (*problem.data.margins, *problem.data.hard)
+    }
+    constraints = Constraints(problem.with_limits(harder), starts)
+    factors: Any = jax.tree.map(lambda field: np.repeat(field, len(vectors), axis=0), problem.data.correction)
+    seen = constraints(vectors, factors)
+
+    def slope(values: np.ndarray, slopes: np.ndarray) -> Slope:
+        gradient = np.zeros(len(z))
+        gradient[constraints.moved] = slopes
+        return Slope(float(values[0]), gradient, values[1:])
+
+    found = {SCORE: slope(np.where(seen.stable, np.exp(seen.values[:, 0]), np.nan), seen.slopes[0, 0])}
+    cells = len(problem.data.judged_at)
+    tissues = 1 if problem.data.believed is None else len(problem.data.scene.stiffness)
+    column = 1
+    for name in (*problem.data.margins, *problem.hard_goals):
+        inverse = 1.0 + HEADROOM - seen.values[:, column]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reached = np.where(seen.stable, 1.0 / inverse, np.inf)
+            found[name] = slope(reached / FACTOR, seen.slopes[0, column] * reached[0])
+        column += cells if name in problem.data.margins else tissues
     return found
 
 

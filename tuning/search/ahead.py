@@ -11,7 +11,7 @@ from jaxmpc.beside import Beside
 from jaxmpc.xla.precision import in_float64
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
-from tuning.search import corrected
+from tuning.search.constraints import Constraints
 from tuning.search.mapping import PROPOSED, spectra_of
 
 MOST = 8
@@ -24,9 +24,7 @@ def threads() -> Beside:
     return Beside(min(MOST, max(1, len(os.sched_getaffinity(0)) - 1)))
 
 
-def readied(
-    spec: TuneSpec, own: Problem, pool: Executor, after: Callable[[TuneSpec], Tasks] = lambda _: ()
-) -> Future[Problem]:
+def readied(spec: TuneSpec, own: Problem, pool: Executor) -> Future[Problem]:
     """A job's problem by runs; the programs of its search go on compiling, and who needs one meanwhile waits for it.
 
     A program that fails to compile here fails again where it is needed, and is heard of there.
@@ -35,18 +33,17 @@ def readied(
         spec: The job.
         own: By spectra, as the descent has it, in shape.
         pool: Threads to do it.
-        after: What else to do there, after these.
     """
     rows = PROPOSED * spec.tune.starts
 
     def begun(runs: Problem) -> None:
         spectra = spectra_of(spec, own, runs.data.reference)
+        constraints = Constraints(spectra, rows)
         for program in (
-            lambda: corrected.compile_ahead(spec, spectra, rows),
+            constraints.compile_margins,
+            constraints.compile_runs,
             lambda: runs.compile_evaluation(rows),
-            lambda: spectra.compile_evaluation(rows),
-            lambda: spectra.corrected_by_one().compile_slopes(rows),
-            *after(spec),
+            lambda: spectra.compile_cells(rows),
         ):
             pool.submit(in_float64(program))
 
@@ -55,3 +52,14 @@ def readied(
         return problem_of(spec, training(spec, spec.tune.train_seeds), evaluated=True, begun=begun)
 
     return pool.submit(ready)
+
+
+def begin(spec: TuneSpec, after: Callable[[TuneSpec], Tasks], pool: Executor) -> None:
+    """Have what comes after the search begin: once the descent has its programs, which would compile more slowly.
+
+    Args:
+        spec: The job.
+        after: What it comes to.
+        pool: Threads to do it, after what they do already.
+    """
+    pool.submit(in_float64(lambda: [pool.submit(in_float64(task)) for task in after(spec)]))

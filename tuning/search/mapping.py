@@ -22,9 +22,10 @@ from jaxtyping import Float
 from jaxmpc.metrics import Metrics
 from jaxmpc.terminal.progress import progress
 from tuning.job.spec import TuneSpec
+from tuning.objective.judged_cells import judged_cells
 from tuning.objective.loss import Values
 from tuning.objective.measures import with_stand_ins
-from tuning.objective.problem import Problem, judged_cells
+from tuning.objective.problem import Problem
 from tuning.search.corrected import minimised
 from tuning.search.optimise import WORTH, note
 from tuning.search.state import SearchState, load, save
@@ -90,7 +91,7 @@ def refine(
             if state.iteration < rounds:
                 followed, begin = zip(*beginnings, strict=True)
                 factors = jax.tree.map(lambda field, rows=list(followed): field[rows], state.memory.correction)
-                state.z = minimised(spec, spectra, np.stack(begin), factors)
+                state.z = minimised(spectra, np.stack(begin), factors)
             if folder is not None:
                 save(folder, spec.digest, state, name)
     return state
@@ -160,7 +161,7 @@ def _nothing(points: int, size: int, problem: Problem) -> Measured:
 def _entered(measured: Measured, iteration: int, z: np.ndarray, values: Values, spectra: Problem) -> Measured:
     """With one round more."""
     held = np.all(np.isfinite(values.cells.rms), axis=(1, 2, 3))
-    factors = correction(values.cells, spectra.evaluate(z).cells)
+    factors = correction(values.cells, spectra.cells(z, held))
     new = Measured(z, np.where(held, values.loss, np.nan), factors)
 
     def put(rows: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,6 +64,7 @@ def schedule(steps: int, soft: bool, rate: float) -> Schedule:
     return Schedule(np.concatenate(widths), np.concatenate(rates), 1 + annealed)
 
 
+@cache
 def optimiser() -> tuple[Callable[[Any], Any], Callable[..., Any]]:
     """Adam with its gradient clipped, per start; a start whose gradient is not finite stays where it is."""
     chain = optax.chain(optax.clip_by_global_norm(CLIP), optax.scale_by_adam())
@@ -74,6 +76,13 @@ def optimiser() -> tuple[Callable[[Any], Any], Callable[..., Any]]:
         return jnp.where(usable, z - rate * direction, z), memory, usable
 
     return jax.jit(jax.vmap(chain.init)), jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
+
+
+def rehearse(starts: int, size: int) -> None:
+    """Compile what moves so many starts."""
+    begin, update = optimiser()
+    z = np.zeros((starts, size))
+    update(z, begin(jnp.asarray(z)), z, np.float64(0.0))
 
 
 def descend(

@@ -16,9 +16,9 @@ from jaxmpc.xla.place import wake
 from jaxmpc.xla.precision import in_float64
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
-from tuning.search.ahead import Tasks, readied, threads
+from tuning.search.ahead import Tasks, begin, readied, threads
 from tuning.search.mapping import PROPOSED, refine, spectra_of
-from tuning.search.optimise import descend, schedule
+from tuning.search.optimise import descend, rehearse, schedule
 from tuning.search.state import SearchState, check_states
 
 SCREENED = 16
@@ -85,16 +85,22 @@ def run_search(
             """What the descent descends on; programs compile from when their shapes are known."""
 
             def begun(problem: Problem) -> None:
-                pool.submit(in_float64(problem.compile_slopes), _starts(job))
+                for program in (problem.compile_margins, problem.compile_runs):
+                    pool.submit(in_float64(program), _starts(job))
+                pool.submit(in_float64(rehearse), _starts(job), job.space.size)
                 # Of several, nobody knows which will win.
                 if job.on_arm and len(jobs) == 1:
-                    ahead.append(readied(job, problem, pool, after))
+                    ahead.append(readied(job, problem, pool))
 
             met = training(job, job.tune.train_seeds)
             return problem_of(job, met, spectral=job.on_arm, begun=begun)
 
         problems = [*map(described, jobs)]
-        firsts = [proposal(job, problem, folder, show) for job, problem in zip(jobs, problems, strict=True)]
+        each = [*zip(jobs, problems, strict=True)]
+        starts = [screened(job, problem, _starts(job), show) for job, problem in each]
+        if ahead:
+            begin(jobs[0], after, pool)
+        firsts = [proposal(job, problem, z, folder, show) for (job, problem), z in zip(each, starts, strict=True)]
         orders = {
             int(job.params.disturbance_order): float(one.state.best.min())
             for job, one in zip(jobs, firsts, strict=True)
@@ -104,7 +110,10 @@ def run_search(
         best = reached.index(min(reached))
         job, steps = jobs[best], [firsts[best]]
         if job.on_arm:
-            runs = (ahead or [readied(job, problems[best], pool, after)])[0].result()
+            if not ahead:
+                ahead.append(readied(job, problems[best], pool))
+                begin(job, after, pool)
+            runs = ahead[0].result()
             spectra = spectra_of(job, problems[best], runs.data.reference)
             z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)
             state = refine(job, runs, spectra, z, folder, _file("mapping", job), show)
@@ -112,9 +121,8 @@ def run_search(
     return SearchHistory(job, steps, orders)
 
 
-def proposal(spec: TuneSpec, problem: Problem, folder: Path | None, show: bool) -> Step:
-    """The descent: from the given parameters and from random ones, horizons first soft."""
-    z = screened(spec, problem, _starts(spec), show)
+def proposal(spec: TuneSpec, problem: Problem, z: np.ndarray, folder: Path | None, show: bool) -> Step:
+    """The descent: from some starts, horizons first soft."""
     soft = bool(spec.space.whole.any())
     plan = schedule(spec.tune.steps, soft, spec.tune.learning_rate)
     name, file = ("spectra", "spectra") if spec.on_arm else ("linear", "")
