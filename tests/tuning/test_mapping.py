@@ -49,7 +49,7 @@ def case() -> Case:
             "goals": {
                 "M_s": 3.0,
                 "gain_margin_db": 4.0,
-                "chatter": 0.4,
+                "rms": 0.075,
                 "soft": {"rms_ratio": 0.65, "peak_to_peak_ratio": 0.7},
             },
         }
@@ -119,7 +119,7 @@ def test_goals_at_a_point_are_what_was_measured_there_with_slopes_that_are_centr
     sides = [z + sign * h * np.eye(len(z))[i] for i in MOVED for sign in (1, -1)]
     problem = corrected_at(case.spectra, Measured(case.z, case.measured.loss, case.factors), z)
     found = slopes(problem, z, len(case.z), np.stack(sides))
-    assert [*found] == ["score", "M_s", "gain_margin_db", "chatter"]
+    assert [*found] == ["score", "M_s", "gain_margin_db", "rms"]
     reached = np.concatenate([case.measured.score[1:2], case.measured.hard[1]])
     # A margin's is that of the first stiffness, the rest are those of the worst.
     worst = [True, False, False, True]
@@ -146,7 +146,7 @@ def test_the_searchs_programs_give_the_slopes_that_a_gradient_of_the_loss_gives(
         if tissue == 1:
             expected = _of_loss(corrected, z, rows, others)
             over_starts.cache_clear()
-            assert found.keys() == expected.keys() == {"score", "M_s", "gain_margin_db", "chatter"}
+            assert found.keys() == expected.keys() == {"score", "M_s", "gain_margin_db", "rms"}
             for name, slope in expected.items():
                 np.testing.assert_allclose(found[name].value, slope.value, rtol=1e-9, err_msg=name)
                 np.testing.assert_allclose(found[name].beside, slope.beside, rtol=1e-9, err_msg=name)
@@ -164,7 +164,7 @@ def test_where_a_loop_is_unstable_there_are_no_slopes(case: Case) -> None:
     wild[case.spec.space.names.index("lam")] -= 5.0
     found = slopes(corrected_at(case.spectra, measured, case.z[0]), wild, len(case.z), case.z[:1])
     assert np.isnan(found["score"].value)
-    assert np.isposinf([found[name].value for name in ("M_s", "gain_margin_db", "chatter")]).all()
+    assert np.isposinf([found[name].value for name in ("M_s", "gain_margin_db", "rms")]).all()
     assert all(np.isfinite(slope.beside).all() for slope in found.values())
 
 
