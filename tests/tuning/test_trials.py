@@ -10,20 +10,22 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import msgspec
 import numpy as np
 import pytest
 import scipy.stats
 
-from jaxmpc import Experiment, InputError, Params, Status, evaluate
+from jaxmpc import Experiment, InputError, Params, Status, evaluate, stability
 from jaxmpc.beside import Beside
 from jaxmpc.engine.kernel import Kernel
 from jaxmpc.experiment.reference import Reference
 from jaxmpc.report.content import Table
 from jaxmpc.stability.family import family_margins, judged_where
+from jaxmpc.stability.loop import closed_loop_matrix, spectral_radius
 from tuning import trials
 from tuning.job.scenarios import RHYTHMS, Scenarios
-from tuning.trials import HARD, NOMINAL, Job, Outcomes, Spread, compute, drawn, on_own_tissues
+from tuning.trials import HARD, NOMINAL, Job, Outcomes, Spread, compute, drawn, linear_margins, on_own_tissues
 from tuning.trials.cli import _tables
 from tuning.trials.linear_margins import margins_table
 from tuning.trials.program import Met
@@ -119,12 +121,22 @@ def test_a_median_counts_what_did_not_last(capsys: pytest.CaptureFixture[str]) -
 def test_margins_of_a_family_are_those_of_what_flies_too() -> None:
     """The fixed gains hold tissues beyond the knots, at the price of M_s; what freezing declares is of the knots."""
     family, spread = Params.published("family"), NOMINAL._replace(stiffness=(375.0, 1900.0))
-    rows = margins_table(["text", "family"], job(Params(), family, spread=spread))
-    assert [row[:2] for row in rows] == [["text", "1"], ["family, fixed gains", "1"], ["family, known", "1"]]
+    fixed, held = margins_table(["family"], job(family, spread=spread))
     known, ratios = judged_where(family.listening)
     M_s = family_margins(family, known, ratios, Experiment.published("table-1-wam").loop_path()).M_s
-    assert rows[2][2] == f"{np.max(M_s):.2f}"
-    assert float(rows[1][2]) < float(rows[2][2]) < 2.0
+    assert held[2] == f"{np.max(M_s):.2f}"
+    assert float(fixed[2]) < float(held[2]) < 2.0
+
+
+def test_margins_are_told_for_every_delay_and_of_a_family_for_both_its_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("fixed", "known"):
+        monkeypatch.setattr(linear_margins, f"_of_{name}", lambda _, base, __, name=name: [name, base.delay])
+    rows = margins_table(["text", "family"], job(Params(), Params.published("family"), spread=HARD))
+    assert rows == [
+        [title, str(delay), name, delay]
+        for title, name in (("text", "fixed"), ("family, fixed gains", "fixed"), ("family, known", "known"))
+        for delay in (1, 2)
+    ]
 
 
 def test_a_stable_loop_that_an_event_pushes_is_not_lost() -> None:
@@ -214,11 +226,19 @@ def test_what_sets_trials_apart_is_what_they_have(changes: dict[str, Any], sprea
         assert found.friction[i].tolist() == friction
 
 
+def radii_alone(cells: stability.Cells, _: Any) -> stability.Margins:
+    """What a trial has of the margins: the others take half a minute to compile."""
+    radius = jax.jit(jax.vmap(lambda one: spectral_radius(closed_loop_matrix(one.gains, one.contacts))))(cells)
+    none = np.full(len(cells.residual), np.nan)
+    return stability.Margins(*[none] * 5, radius, stability.stability_status(radius, cells.residual))
+
+
 @pytest.mark.oracle
 @pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("own", [{}, {"velocity_cutoff": 320.0, "force_cutoff": 900.0}], ids=["plain", "filters"])
-def test_every_trial_is_the_experiment_it_says(own: dict[str, float]) -> None:
+def test_every_trial_is_the_experiment_it_says(own: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
     """Against the public function, one by one; K̂_s 200 is unstable on stiff tissue, whatever the run does."""
+    monkeypatch.setattr(stability, "_block", radii_alone)
     controllers = Params(**own), Params(Khat_s=200.0, **own)
     given = job(*controllers, spread=HARD)
     found = trials.run(given, BLOCK)
@@ -312,8 +332,7 @@ def test_no_bit_of_a_trial_depends_on_who_else_is_tried(monkeypatch: pytest.Monk
 def test_the_kernel_runs_the_same_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a GPU runs, to rounding: robots, tissues and delays of their own on motions that several share."""
     monkeypatch.setattr(Kernel, "devices", ("cpu",))
-    monkeypatch.setattr(drawn, "DURATION", 2.1)
-    by_scan, by_kernel = (replace(job(Params.published("family")), engine=engine) for engine in ("scan", "kernel"))
+    by_scan, by_kernel = (replace(job(), engine=engine) for engine in ("scan", "kernel"))
     scanned, found = (trials.run(each, BLOCK) for each in (by_scan, by_kernel))
     assert len(set(by_scan.trial(i).delay for i in range(BLOCK))) == 2
     for name, one, other in zip(Outcomes._fields, found, scanned, strict=True):
