@@ -36,6 +36,8 @@ SHORT: dict[str, Any] = {
     "sensor": {"lsb": [0.0, 0.0, 0.0]},
 }
 """Without quantisation, which lets float32 and float64 drift apart."""
+FORTY: dict[str, Any] = {"lam": {"log": [0.01, 1.0], "points": 40}, "delay": [1, 2]}
+"""Forty controllers in each of two worlds: a program serves whatever else these experiments have."""
 
 
 def made(axes: dict[str, Any], kind: str = "grid", **more: Any) -> SweepSpec:
@@ -115,8 +117,7 @@ def test_rows_whose_swing_was_of_the_beginning_too_are_not_put_beside_those_of_t
 @pytest.mark.parametrize(("precision", "noise"), [("float64", [0.0, 0.02]), ("float32", [0.01, 0.02])])
 def test_many_controllers_share_a_world(precision: str, noise: list[float]) -> None:
     """Without noise some 14 mm/s² of chatter are left, of which float32 makes 0.3 %."""
-    axes = {"lam": {"log": [0.01, 1.0], "points": 40}, "delay": [1, 2], "sensor.noise": noise}
-    spec = made(axes, precision=precision)
+    spec = made({**FORTY, "sensor.noise": noise}, precision=precision)
     plan = make_plan(spec)
     assert (plan.space.same_world, plan.worlds, in_pairs(plan), block_of(plan)) == (40, 4, False, 32)
     result = computed(spec)
@@ -205,13 +206,13 @@ def test_a_recording_travels_by_its_content(tmp_path: Path) -> None:
     table = np.stack([t, 0 * t, 0 * t, 1e-3 * np.sin(6.0 * t)], axis=1)
     path = tmp_path / "own.csv"
     np.savetxt(path, table, delimiter=",", header="t,x,y,z", comments="")
-    spec = made({"lam": [0.1, 0.2]}, experiment={"motion": {"kind": "recording", "file": str(path)}})
-    plan = make_plan(spec)
+    plan = make_plan(made(FORTY, experiment={"motion": {"kind": "recording", "file": str(path)}}))
     path.unlink()
-    columns = compute(plan, 0, 2)
+    rows = len(plan.rows)
+    columns = compute(plan, 0, rows)
     assert np.isfinite(columns["rms"]).any()
     # Rows of one world have one experiment, which a report runs once, and one file, which does not stay behind.
-    here, other = (Result.of(plan, columns, np.ones(2, bool)).experiment(place) for place in (0, 1))
+    here, other = (Result.of(plan, columns, np.ones(rows, bool)).experiment(place) for place in (0, 1))
     assert here.to_dict() == other.to_dict()
     script = "import sweeps.result as s; print(s._recordings())"
     said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
@@ -258,12 +259,12 @@ def test_every_key_of_controller_and_experiment_has_a_place() -> None:
 
 
 def test_ranking_is_no_part_of_the_hash() -> None:
-    one, other = made({"lam": [0.1, 0.2]}), made({"lam": [0.1, 0.2]}, constraints={"gain_margin_db": 6.0})
+    one, other = made(FORTY), made(FORTY, constraints={"gain_margin_db": 6.0})
     assert make_plan(one).spec_hash == make_plan(other).spec_hash
-    fewer = made({"lam": [0.1, 0.2]}, columns=["true_rms"])
+    fewer = made(FORTY, columns=["true_rms"])
     assert make_plan(fewer).kept == ("rms", "true_rms", "M_s")
     assert make_plan(fewer).spec_hash != make_plan(one).spec_hash
-    result = computed(dataclasses.replace(other))
+    result = computed(other)
     assert (result.feasible <= result.ok).all()
 
 
