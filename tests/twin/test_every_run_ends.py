@@ -1,15 +1,18 @@
 """Every state × every hazard × every signal, before and after arming: the run ends, soon, and says why."""
 
+from copy import copy
 from functools import cache
 from itertools import product
 from types import SimpleNamespace
 
 import pytest
 
-from deploy.loop import loop
+from deploy.controller.runtimes import arm_runtime, flown_controller
+from deploy.loop import loop, session
 from deploy.loop.control import Contacting
 from deploy.loop.loop import LETTING_GO, LINGER
 from deploy.loop.operator import Operator
+from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import IDLE_PATIENCE, OperatingState
 from deploy.safety.reasons import Reason
 from deploy.twin.flight import started
@@ -51,9 +54,24 @@ class Watchdog:
         return self.there
 
 
+@cache
+def recorded():
+    """What every session would record again of the one controller: it takes longer than many of these flights."""
+    artifact = frozen()
+    return arm_runtime(artifact), ForceEstimate(artifact.arm, flown_controller(artifact)[0].measurement)
+
+
+def at_rest(artifact):
+    runtime = copy(recorded()[0])
+    runtime.start(artifact.arm.posture)
+    return runtime
+
+
 @pytest.fixture(autouse=True)
-def hold_briefly(monkeypatch):
+def hold_briefly_and_record_once(monkeypatch):
     monkeypatch.setattr(loop, "LINGER", HELD)
+    monkeypatch.setattr(session, "arm_runtime", at_rest)
+    monkeypatch.setattr(session, "ForceEstimate", lambda *model: copy(recorded()[1]))
 
 
 def fly(hazard="", at=None, signals=0, first="", duration=0.1):
@@ -63,9 +81,9 @@ def fly(hazard="", at=None, signals=0, first="", duration=0.1):
     faults = tuple(f"{each}@{when}" for each, when in ((first, at and at - 0.02), ("" if ours else hazard, at)) if each)
     twin = Twin(twin_settings(gap=0.0003, rhythm="none", faults=faults))
     clock, watchdog, count = LockstepClock(twin), Watchdog(), SimpleNamespace(count=0)
-    session, bus = started(frozen(), clock, "0,0,-1@5", 5.0, tare=False, contacting=CONTACTING)
+    flight, bus = started(frozen(), clock, "0,0,-1@5", 5.0, tare=False, contacting=CONTACTING)
     console = SimpleNamespace(say=lambda line: None)
-    operator = Operator(console, count, lambda: session.controller.contact_time, duration, True, False)
+    operator = Operator(console, count, lambda: flight.controller.contact_time, duration, True, False)
     seen = []
 
     def each(result):
@@ -82,7 +100,7 @@ def fly(hazard="", at=None, signals=0, first="", duration=0.1):
         command = operator.each(result)
         return command if now > seen[0][0] + WAITS else command._replace(armed=False)
 
-    ended = session.run(operator.command._replace(armed=False), watchdog, each)
+    ended = flight.run(operator.command._replace(armed=False), watchdog, each)
     bus.close()
     return ended, seen, 1e-9 * clock.now()
 
@@ -101,7 +119,9 @@ def moments():
     return found | {OperatingState.FAULT: found[OperatingState.CONTACT]}
 
 
+@cache
 def check(state, hazard, signals):
+    """Once for each: a flight in lock-step is the same every time."""
     at = round(moments()[state], 3)
     ended, seen, end = fly(hazard, at, signals, "J2:lost=3" if state is OperatingState.FAULT else "")
     assert any(time >= at - 2e-3 and now.state is state for time, now in seen), "the state was not met"
@@ -153,10 +173,10 @@ def test_every_state_hazard_and_signal(state, hazard):
 def test_an_arm_that_is_never_armed_or_activated_is_not_waited_for_for_ever():
     twin = Twin(twin_settings(gap=0.001, rhythm="none"))
     clock = LockstepClock(twin)
-    session, bus = started(frozen(), clock, "0,0,-1@5", 5.0, tare=False)
+    flight, bus = started(frozen(), clock, "0,0,-1@5", 5.0, tare=False)
     operator = Operator(SimpleNamespace(say=print), SimpleNamespace(count=0), lambda: 0.0, 1.0, True, False)
     began = clock.now()
-    ended = session.run(
+    ended = flight.run(
         operator.command._replace(armed=False), None, lambda result: operator.each(result)._replace(armed=False)
     )
     bus.close()
