@@ -1,5 +1,6 @@
 """Design against scipy, brute force and central differences; horizons against exact ones; compilations counted."""
 
+from functools import cache
 from typing import Any
 
 import jax
@@ -222,6 +223,39 @@ def test_mask_is_exact_at_width_one_and_feels_its_horizon_when_wider() -> None:
 
 
 NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
+POINT = jnp.log(jnp.array([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0]))
+
+
+@cache
+def weighed(architecture: str, order: int, delay: int) -> tuple[Any, Any, np.ndarray]:
+    """A sum of all gains over their sizes, its reverse gradient at POINT, and the central difference there.
+
+    Values come from the gradient's own program, so that there is but one.
+    """
+    kind: dict[str, Any] = {
+        "architecture": architecture,
+        "disturbance_order": order,
+        "designed_delay": delay,
+    }
+    shapes = [(2,), (2,), (3 + order,), (3,), (), (HP_MAX,), (2,), (), *[()] * (delay - 1)]
+    weights = [np.random.default_rng(i).standard_normal(shape) for i, shape in enumerate(shapes)]
+
+    def summary(x: jax.Array, scales: Any) -> tuple[jax.Array, Gains]:
+        values = dict(zip(NAMES, jnp.exp(x), strict=True))
+        gains = design_one(Params(**values, **kind), T_S)[0]
+        return sum(jnp.sum(w * g / s) for w, g, s in zip(weights, jax.tree.leaves(gains), scales, strict=True)), gains
+
+    both = jax.jit(jax.value_and_grad(summary, has_aux=True))
+    (_, gains), _ = both(POINT, [1.0] * len(shapes))
+    scales = [max(1.0, float(jnp.max(jnp.abs(g)))) for g in jax.tree.leaves(gains)]
+    step = 1e-5
+
+    def central(i: int) -> float:
+        above, below = (both(POINT.at[i].add(side), scales)[0][0] for side in (step, -step))
+        return float(above - below) / (2.0 * step)
+
+    difference = np.array([central(i) for i in range(len(POINT))])
+    return lambda x: summary(x, scales)[0], both(POINT, scales)[1], difference
 
 
 @pytest.mark.parametrize(
@@ -235,32 +269,9 @@ NAMES = ("lam", "Q_p", "Q_x", "T_cl", "K2", "Khat_s")
 @pytest.mark.parametrize("mode", [pytest.param("forward", marks=pytest.mark.oracle), "reverse"])
 def test_gradient_of_the_design_is_the_central_difference(architecture: str, order: int, delay: int, mode: str) -> None:
     """Relative to the largest component over log-parameters: scale-free, and R and δ stay fixed."""
-    point = jnp.log(jnp.array([0.3, 2.0, 1e-3, 1.5e-3, 25.0, 700.0]))
-    kind: dict[str, Any] = {
-        "architecture": architecture,
-        "disturbance_order": order,
-        "designed_delay": delay,
-    }
-    shapes = [(2,), (2,), (3 + order,), (3,), (), (HP_MAX,), (2,), (), *[()] * (delay - 1)]
-    weights = [np.random.default_rng(i).standard_normal(shape) for i, shape in enumerate(shapes)]
-
-    def gains_at(x: jax.Array) -> Gains:
-        values = dict(zip(NAMES, jnp.exp(x), strict=True))
-        return design_one(Params(**values, **kind), T_S)[0]
-
-    scales = [max(1.0, float(jnp.max(jnp.abs(g)))) for g in jax.tree.leaves(gains_at(point))]
-
-    @jax.jit
-    def summary(x: jax.Array) -> jax.Array:
-        return sum(jnp.sum(w * g / s) for w, g, s in zip(weights, jax.tree.leaves(gains_at(x)), scales, strict=True))
-
-    gradient = {"forward": jax.jacfwd, "reverse": jax.grad}[mode](summary)(point)
-    step = 1e-5
-
-    def central(i: int) -> float:
-        return float(summary(point.at[i].add(step)) - summary(point.at[i].add(-step))) / (2.0 * step)
-
-    difference = np.array([central(i) for i in range(len(point))])
+    total, gradient, difference = weighed(architecture, order, delay)
+    if mode == "forward":
+        gradient = jax.jit(jax.jacfwd(total))(POINT)
     np.testing.assert_allclose(gradient, difference, atol=1e-6 * np.abs(difference).max())
 
 
