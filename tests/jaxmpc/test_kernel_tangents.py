@@ -1,5 +1,6 @@
 """Tangents in the kernel, interpreted: the scan's, central differences', and one by one what they are side by side."""
 
+from functools import cache
 from typing import Any
 
 import jax
@@ -38,6 +39,7 @@ class Loop:
 
     def __init__(self, experiment: Experiment, dtype: str = "float64"):
         self.dtype = dtype
+        self.programs: dict[str, Any] = {}
         self.spec, self.data = program_spec(experiment), scenario_data(experiment, swinging=True)
         params = Params.published("text").with_columns({"lam": np.array([0.3, 0.4, 0.5])})
         self.loops = jax.jit(close_loops)(params, self.data.stiffness, self.data.path)
@@ -50,13 +52,28 @@ class Loop:
         return engine.simulate(self.spec, gains, c * loops.K2, contacts, self.data, self.dtype).metrics
 
     def jacobian(self, engine: Any) -> Any:
-        return jax.jit(jax.jacfwd(lambda z: self.metrics(engine, z)))(POINT)
+        return self.program(engine)(POINT)[0]
+
+    def program(self, engine: Any) -> Any:
+        """The Jacobian and the metrics themselves; compiled once."""
+        if engine.name not in self.programs:
+
+            def twice(z: Any) -> tuple[Any, Any]:
+                found = self.metrics(engine, z)
+                return found, found
+
+            self.programs[engine.name] = jax.jit(jax.jacfwd(twice, has_aux=True))
+        return self.programs[engine.name]
 
     def differences(self, step: float) -> Any:
-        run = jax.jit(lambda z: self.metrics(Scan(), z))
-        pairs = [(run(POINT + step * row), run(POINT - step * row)) for row in np.eye(3)]
+        """Central ones, of what the scan gives."""
+        run = self.program(Scan())
+        pairs = [(run(POINT + step * row)[1], run(POINT - step * row)[1]) for row in np.eye(3)]
         each = [jax.tree.map(lambda high, low: (high - low) / (2.0 * step), *pair) for pair in pairs]
         return jax.tree.map(lambda *columns: np.stack(columns, axis=-1), *each)
+
+
+linear, arm = cache(lambda: Loop(LINEAR)), cache(lambda: Loop(ARM))
 
 
 def check(found: Any, wanted: Any, tolerance: float) -> None:
@@ -71,7 +88,7 @@ def check(found: Any, wanted: Any, tolerance: float) -> None:
 def test_slopes_of_the_linear_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """The scan's to rounding; central differences', whose own error is the step squared; three directions in twos."""
     monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 2))
-    loop = Loop(LINEAR)
+    loop = linear()
     found = loop.jacobian(Kernel())
     check(found, loop.jacobian(Scan()), 1e-10)
     check(found, loop.differences(1e-5), 1e-6)
@@ -84,7 +101,7 @@ def test_slopes_of_the_linear_loop(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_slopes_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
     """With friction, which is smooth. Torques and swing come to 1e-5 of their own by differences."""
     monkeypatch.setattr(kernel, "ARM_ALONG", Shape(4, 1, 3))
-    loop = Loop(ARM)
+    loop = arm()
     found = loop.jacobian(Kernel())
     check(found, loop.jacobian(Scan()), 1e-9)
     check(found, loop.differences(1e-5), 1e-5)
@@ -94,18 +111,18 @@ def test_slopes_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_slopes_of_the_linear_loop_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the step that a GPU takes, put together with fewer instructions."""
     monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 3))
-    check(Loop(LINEAR, "float32").jacobian(Kernel()), Loop(LINEAR).jacobian(Scan()), 1e-4)
+    check(Loop(LINEAR, "float32").jacobian(Kernel()), linear().jacobian(Scan()), 1e-4)
 
 
 @pytest.mark.oracle
 def test_slopes_of_the_arm_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     """Likewise, of near angles' sines too."""
     monkeypatch.setattr(kernel, "ARM_ALONG", Shape(4, 1, 3))
-    check(Loop(ARM, "float32").jacobian(Kernel()), Loop(ARM).jacobian(Scan()), 1e-2)
+    check(Loop(ARM, "float32").jacobian(Kernel()), arm().jacobian(Scan()), 1e-2)
 
 
 def test_slopes_by_signals_are_refused() -> None:
-    loop = Loop(LINEAR)
+    loop = linear()
 
     def by_noise(noise: Any) -> Any:
         data = loop.data._replace(signals=loop.data.signals._replace(noise=noise))
