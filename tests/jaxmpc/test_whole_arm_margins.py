@@ -12,7 +12,7 @@ from jaxmpc import InputError, Params, design
 from jaxmpc.stability.loop import contact_of
 from jaxmpc.stability.response import loop_response
 from jaxmpc.stability.whole_arm import System, radii, whole_arm_system
-from jaxmpc.stability.whole_arm_margins import WholeArmMargins, sensitivity, whole_arm_margins
+from jaxmpc.stability.whole_arm_margins import WholeArmMargins, _designed, sensitivity, whole_arm_margins
 from jaxmpc.world.arm import chain
 from jaxmpc.world.friction import SMALL_VELOCITY
 from tests.jaxmpc.test_whole_arm import T_S, experiment, world_of
@@ -27,14 +27,10 @@ def system(bandwidth: float = 0.0, stiffness: float = 375.0, sticking: bool = Fa
     return System(*map(np.asarray, whole_arm_system(chain(), kind, robot, design(Params()), 10.0, sticking)))
 
 
-def system_alone(params: Params, robot: Any, T_s: float, force_filter: Any, kind: Any, sticking: bool) -> System:
-    return whole_arm_system(chain(), kind, robot, design(params, force_filter=force_filter), params.K2, sticking)
-
-
 def uncompiled(*arguments: Any) -> WholeArmMargins:
     """The same without a program for the system, which takes longer to compile than all else in a test."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jaxmpc.stability.whole_arm_margins._system", system_alone)
+        patch.setattr("jaxmpc.stability.whole_arm_margins._system", _designed)
         return whole_arm_margins(*arguments)
 
 
@@ -152,6 +148,18 @@ def test_a_low_pass_of_ones_own_takes_the_place_of_the_arms() -> None:
     for name in CUTS:
         np.testing.assert_allclose(getattr(own, name).M_s, getattr(there, name).M_s, rtol=1e-9)
         assert (np.abs(np.asarray(getattr(own, name).M_s) / np.asarray(getattr(quick, name).M_s) - 1.0) > 1e-3).all()
+
+
+def test_a_filter_of_the_force_is_one_wherever_it_is_named() -> None:
+    """The experiment's, or the controller's own."""
+    given = experiment(stiffness=(375.0,))
+    sensor = msgspec.structs.replace(given.sensor, kalman=160.0 * given.sensor.noise)
+    filtered = msgspec.structs.replace(given, sensor=sensor)
+    pairs = (Params(force_cutoff=filtered.force_cutoff), given), (Params(), filtered), (Params(), given)
+    own, there, bare = (uncompiled(*pair) for pair in pairs)
+    for name in CUTS:
+        np.testing.assert_allclose(getattr(own, name).M_s, getattr(there, name).M_s, rtol=1e-9)
+        assert (np.abs(np.asarray(getattr(own, name).M_s) / np.asarray(getattr(bare, name).M_s) - 1.0) > 1e-3).all()
 
 
 def test_one_controller_at_a_time() -> None:

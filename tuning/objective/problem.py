@@ -57,8 +57,6 @@ class Problem(NamedTuple):
             width: Softness of the horizons, 1 is whole [samples].
         """
         rows, shared = self._arguments(z, width)
-        # Its program first: that of the margins, which takes longer, may be compiling beside.
-        self.compile_runs(len(z))
         margins: MarginValues = over_starts(margin_slopes, self.structure)(rows, shared)
         runs: RunValues = over_starts(run_slopes, self.structure)((*rows, margins.stable), shared)
         return together(margins, runs)

@@ -55,7 +55,7 @@ def readied(spec: TuneSpec, own: Problem, pool: Executor) -> Future[Problem]:
 
 
 def begin(spec: TuneSpec, after: Callable[[TuneSpec], Tasks], pool: Executor) -> None:
-    """Have what comes after the search begin: once the descent has its programs, which would compile more slowly.
+    """Have what comes after the search begin; once the descent has its programs, or they would compile more slowly.
 
     Args:
         spec: The job.

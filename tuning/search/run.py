@@ -134,6 +134,8 @@ def screened(spec: TuneSpec, problem: Problem, count: int, show: bool) -> np.nda
     space = spec.space
     drawn = space.draw(SCREENED * count, spec.tune.seed)
     losses = []
+    # That of the margins, which takes longer, is compiling beside.
+    problem.compile_runs(count)
     with progress("screen", len(drawn), "points", show) as tick:
         for part in np.split(drawn, SCREENED):
             losses.append(problem.differentiate(part, 1.0).loss)
