@@ -3,9 +3,9 @@
 Where the host has several GPUs, the kernel then runs as many controllers on each of the first one, two, four, … as on
 one alone (`--scaling`: that only); efficiency is the rate over as many times the rate of one.
 
-An axis-step is one sample of one axis of the linear loop, an arm step one of everything on the arm. Floor: 84
-operations of an axis-step and some 2 200 of an arm step, of which a multiplication and an addition may be one
-instruction; printed beside each rate is the share of the chip's instructions that so many operations would be.
+An axis-step is one sample of one axis of the linear loop, an arm step one of everything on the arm. Floor: 67
+instructions of an axis-step and some 1 600 of an arm step (84 and 2 200 operations, a product and a sum being one
+instruction where nothing else needs the product); printed beside each rate is the share of the chip's that so many are.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-AXIS_OPERATIONS, ARM_OPERATIONS = 84, 2200
+AXIS_INSTRUCTIONS, ARM_INSTRUCTIONS = 67, 1600
 LANES_OF_A_MULTIPROCESSOR = 128
 BATCH_OF_A_GPU = 131072
 SECONDS = {"linear": 10.0, "wam": 4.0, "mjx": 2.7}
@@ -130,7 +130,7 @@ def measured(physics: str, engine: str, dtype: str, batch: int, devices: int = 1
         times.append(time.perf_counter() - began)
     axes = 3 if physics == "linear" else 1
     steps = batch * len(experiment.stiffness) * axes * experiment.steps
-    operations = AXIS_OPERATIONS if physics == "linear" else ARM_OPERATIONS
+    instructions = AXIS_INSTRUCTIONS if physics == "linear" else ARM_INSTRUCTIONS
     rate = steps / min(times[1:])
     return {
         "physics": physics,
@@ -140,7 +140,7 @@ def measured(physics: str, engine: str, dtype: str, batch: int, devices: int = 1
         "devices": devices,
         "rate": rate,
         "first_s": times[0],
-        "share_of_peak": rate * operations / (devices * peak()),
+        "share_of_peak": rate * instructions / (devices * peak()),
     }
 
 

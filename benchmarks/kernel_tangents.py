@@ -20,7 +20,7 @@ import numpy as np
 
 NAMES = ("lam", "delta", "Q_p", "Q_x", "T_cl", "K2", "Khat_s", "R")
 SECONDS = {"linear": 10.0, "wam": 4.0}
-SHAPES = {"linear": ("64x1x1", "32x1x2"), "wam": ("64x2x1",)}
+SHAPES = {"linear": ("64x1x1", "32x1x2"), "wam": ("256x8x1",)}
 """With more directions a program the registers do not suffice."""
 
 
@@ -58,7 +58,6 @@ def compared(physics: str, batch: int, shapes: Any, with_scan: bool) -> list[dic
 
     from jaxmpc import Experiment
     from jaxmpc.engine import kernel
-    from jaxmpc.engine.pallas_triton import Shape
     from jaxmpc.engine.registry import ENGINES
     from jaxmpc.engine.scenario import program_spec, scenario_data, with_physics
 
@@ -113,9 +112,9 @@ def compared(physics: str, batch: int, shapes: Any, with_scan: bool) -> list[dic
         lanes, warps, directions = map(int, text.split("x"))
         if (lanes, warps) not in told:
             told.add((lanes, warps))
-            setattr(kernel, name, Shape(lanes, warps, 1))
+            setattr(kernel, name, usual._replace(lanes=lanes, warps=warps, directions=1))
             row("one tangent", f"{lanes}x{warps}", lambda *given: one(*given), loops, along)
-        setattr(kernel, name, Shape(lanes, warps, directions))
+        setattr(kernel, name, usual._replace(lanes=lanes, warps=warps, directions=directions))
         row("eight tangents", text, lambda *given: eight(*given), loops, along)
     setattr(kernel, name, usual)
     if with_scan:

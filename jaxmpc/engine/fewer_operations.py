@@ -3,9 +3,10 @@
     a / b                              a · (1/b): each denominator inverted once, by the processor's own reciprocal
     sin, cos of an angle near another  that one's, turned by the difference (`Ops.near`)
     what is equal                      computed once (`jaxmpc.engine.web`)
+    a·b + c                            one instruction, where nothing else needs a·b
 
 and with fewer registers: each tangent comes as soon as it can, not after all values. Sums stay as they stand. Put
-together anew, so that each product costs one instruction, they keep both factors of each until then: the arm's kernel
+together anew, so that each product is added to something, they keep both factors of each until then: the arm's kernel
 then spills, and its slopes take twice as long.
 """
 
@@ -26,19 +27,21 @@ OPERATORS: dict[str, Callable[..., Any]] = {
 }
 
 
-class Inverses(NamedTuple):
+class Instructions(NamedTuple):
     """What a processor does in one instruction, to its own last bit."""
 
     reciprocal: Callable[[Any], Any]
     root: Callable[[Any], Any]
+    fused: Callable[[Any, Any, Any], Any]
+    """a·b + c, rounded once."""
 
 
-def lean(function: Callable[..., Any], inverses: Inverses, *arguments: Any, values: int | None = None) -> Any:
+def lean(function: Callable[..., Any], processor: Instructions, *arguments: Any, values: int | None = None) -> Any:
     """f(…) in fewer instructions; what is left has no slopes, so f takes those that are wanted itself.
 
     Args:
         function: Traceable, of array leaves alone, with the functions of `lane_ops` for float32.
-        inverses: Reciprocal and root.
+        processor: What it does in one instruction.
         arguments: Its own.
         values: How many leaves of its result, from the first on, are values; the others are tangents. None: all.
     """
@@ -46,17 +49,20 @@ def lean(function: Callable[..., Any], inverses: Inverses, *arguments: Any, valu
     inputs = jax.tree.leaves(arguments)
     web = Web(inputs)
     results = web.take(closed.jaxpr, closed.consts, list(range(len(inputs))))
-    found = _Values(web, inverses)
-    for place in web.needed(results, len(results) if values is None else values):
-        found.value(place)
+    order = web.needed(results, len(results) if values is None else values)
+    found = _Values(web, processor, web.fused(order, results))
+    for place in order:
+        if place not in found.within:
+            found.value(place)
     return jax.tree.unflatten(jax.tree.structure(shape), list(map(found.value, results)))
 
 
 class _Values:
     """Values of a web, as they come to be needed."""
 
-    def __init__(self, web: Web, inverses: Inverses) -> None:
-        self.web, self.inverses = web, inverses
+    def __init__(self, web: Web, processor: Instructions, fused: dict[int, int]) -> None:
+        self.web, self.processor, self.fused = web, processor, fused
+        self.within = set(fused.values())
         self.values: dict[int, Any] = {}
         self.sines: dict[int, tuple[Any, Any]] = {}
 
@@ -74,20 +80,29 @@ class _Values:
         equation = self.web.equations[place]
         if name == "number":
             return equation.val
+        if place in self.fused:
+            return self._fused(name, operands, self.fused[place])
         values = list(map(self.value, operands))
         if name in OPERATORS:
             return OPERATORS[name](*values)
         if name == "part":
             return values[0][told]
         if name in ("inverse", "sqrt"):
-            return (self.inverses.root if name == "sqrt" else self.inverses.reciprocal)(values[0])
+            return (self.processor.root if name == "sqrt" else self.processor.reciprocal)(values[0])
         return equation.primitive.bind(*values, **equation.params)
+
+    def _fused(self, name: str, operands: tuple[int, ...], product: int) -> Any:
+        one, other = map(self.value, self.web.nodes[product].operands)
+        rest = self.value(operands[1] if operands[0] == product else operands[0])
+        if name == "sub":
+            one, rest = (one, -rest) if operands[0] == product else (-one, rest)
+        return self.processor.fused(one, other, rest)
 
     def _sines(self, angle: int) -> tuple[Any, Any]:
         if angle not in self.sines:
             near, value = self.web.near.get(angle), self.value(angle)
             if near is None:
-                self.sines[angle] = lane_ops.sines(value)
+                self.sines[angle] = lane_ops.sines(value, self.processor.fused)
             else:
-                self.sines[angle] = lane_ops.turned(*self._sines(near), value - self.value(near))
+                self.sines[angle] = lane_ops.turned(*self._sines(near), value - self.value(near), self.processor.fused)
         return self.sines[angle]

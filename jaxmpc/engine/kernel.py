@@ -20,11 +20,11 @@ from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import Contact
 from jaxmpc.xla import ops
 
-ARM, AXIS = Shape(64, 2), Shape(64, 1)
-"""Lanes and warps of a program of the arm, and of the linear loop (measured)."""
+ARM, AXIS = Shape(64, 2), Shape(64, 1, samples=5)
+"""A program of the arm, and of the linear loop (measured)."""
 WARP = 32
 """Lanes that a multiprocessor cannot but run together."""
-ARM_ALONG, AXIS_ALONG = Shape(64, 2, 1), Shape(32, 1, 2)
+ARM_ALONG, AXIS_ALONG = Shape(256, 8, 1), Shape(32, 1, 2, samples=5)
 """The same of one that differentiates: on the arm two directions that share a run need too many registers, on the
 linear loop more than two (measured)."""
 

@@ -8,6 +8,7 @@ Coefficients by Remez' exchange: 3.3e-9 and 2.2e-10 from the truth, less than a 
 that is near another (`Ops.near`) is that one's, turned by their difference d, with d − d³/6 and 1 − d²/2 + d⁴/24.
 """
 
+from collections.abc import Callable
 from math import pi
 from typing import Any
 
@@ -37,6 +38,9 @@ COARSE = 3.140625
 LARGE = 1.5 * 2.0**23
 """What float32 counts by ones."""
 
+
+Fused = Callable[[Any, Any, Any], Any]
+"""a·b + c."""
 
 SINE, COSINE, NEAR = "_lane_sine", "_lane_cosine", "_lane_near"
 """Names of the three functions below, by which a step that is taken apart knows what it calls."""
@@ -81,21 +85,26 @@ def _near(angle: Any, other: Any) -> Any:
 _near.defjvp(lambda at, along: (_near(*at), along[0]))
 
 
-def sines(angle: Any) -> tuple[Any, Any]:
+def plainly_fused(one: Any, other: Any, rest: Any) -> Any:
+    """a·b + c, which a processor may round once."""
+    return one * other + rest
+
+
+def sines(angle: Any, fused: Fused = plainly_fused) -> tuple[Any, Any]:
     """Sine and cosine of an angle [rad]."""
-    n = jnp.floor(angle * (1.0 / pi) + 0.5)
+    n = jnp.floor(fused(angle, 1.0 / pi, 0.5))
     # Beside a number so large, whether n is odd stands in the last bit, which becomes the sign's.
     sign = jnp.left_shift(jax.lax.bitcast_convert_type(jnp.asarray(n + LARGE, jnp.float32), jnp.int32), 31)
-    r = angle - n * COARSE - n * (pi - COARSE)
+    r = fused(n, -(pi - COARSE), fused(n, -COARSE, angle))
     square = r * r
-    return _signed(sign, r * _even(SINE_SERIES, square)), _signed(sign, _even(COSINE_SERIES, square))
+    return _signed(sign, r * _even(SINE_SERIES, square, fused)), _signed(sign, _even(COSINE_SERIES, square, fused))
 
 
-def turned(sine: Any, cosine: Any, change: Any) -> tuple[Any, Any]:
+def turned(sine: Any, cosine: Any, change: Any, fused: Fused = plainly_fused) -> tuple[Any, Any]:
     """Sine and cosine of an angle that differs by up to 0.1 rad from one whose are known."""
     square = change * change
-    s, c = change * (square * (-1.0 / 6.0) + 1.0), square * (square * (1.0 / 24.0) - 0.5)
-    return sine + cosine * s + sine * c, cosine - sine * s + cosine * c
+    s, c = change * fused(square, -1.0 / 6.0, 1.0), square * fused(square, 1.0 / 24.0, -0.5)
+    return fused(sine, c, fused(cosine, s, sine)), fused(cosine, c, fused(-sine, s, cosine))
 
 
 def _signed(sign: Any, value: Any) -> Any:
@@ -103,10 +112,10 @@ def _signed(sign: Any, value: Any) -> Any:
     return jax.lax.bitcast_convert_type(jnp.bitwise_xor(bits, sign), jnp.float32)
 
 
-def _even(coefficients: tuple[float, ...], square: Any) -> Any:
+def _even(coefficients: tuple[float, ...], square: Any, fused: Fused) -> Any:
     total: Any = coefficients[-1]
     for each in reversed(coefficients[:-1]):
-        total = total * square + each
+        total = fused(total, square, each)
     return total
 
 

@@ -12,7 +12,8 @@ from jax.experimental import pallas
 from jax.experimental.pallas import triton
 
 from jaxmpc.engine.episode import STRETCH, Episode
-from jaxmpc.engine.fewer_operations import Inverses, lean
+from jaxmpc.engine.fewer_operations import Instructions, lean
+from jaxmpc.engine.lane_ops import plainly_fused
 from jaxmpc.engine.lanes import Layout, Track, at_sample, each_in_turn, unpacked
 from jaxmpc.engine.tangents import movable, only, pushed
 from jaxmpc.law.ops import Ops
@@ -26,6 +27,8 @@ class Shape(NamedTuple):
     warps: int
     directions: int = 0
     """Directions that one program differentiates along, beside one run that they share; 0 is the run alone."""
+    samples: int = 1
+    """Samples written out one behind the other, a divisor of `STRETCH`; one by one where steps are no multiple."""
 
 
 class Directions(NamedTuple):
@@ -80,8 +83,10 @@ def run_episodes(
     count, dtype = tissues * controllers, signals.dtype
     blocks = pallas.cdiv(count, cut.lanes)
     scalar: Any = jax.eval_shape(lambda: jnp.zeros(cut.lanes, dtype))
-    inverses = Inverses(_exact, jnp.sqrt) if interpret else Inverses(_reciprocal, _root)
+    plain, real = Instructions(_exact, jnp.sqrt, plainly_fused), Instructions(_reciprocal, _root, _fused)
+    processor = plain if interpret else real
     parts = along.size // cut.directions if along.size else 1
+    together = 1 if track.steps % cut.samples else cut.samples
 
     def begin(lane: Any) -> Any:
         return _as_lanes(episode.begin(lane, ops), scalar)
@@ -127,12 +132,17 @@ def run_episodes(
 
             given = (own, own_slopes), state, now
             if dtype == jnp.float32:
-                return _as_lanes(lean(following, inverses, *given, values=len(jax.tree.leaves(state[0]))), scalar)
+                return _as_lanes(lean(following, processor, *given, values=len(jax.tree.leaves(state[0]))), scalar)
             return _as_lanes(following(*given), scalar)
 
+        def steps(i: Any, state: Any) -> Any:
+            for j in range(together):
+                state = step(i * together + j, state)
+            return state
+
         def stretch(k: Any, state: Any) -> Any:
-            first = k * STRETCH
-            state = jax.lax.fori_loop(first, jnp.minimum(first + STRETCH, track.steps), step, state)
+            first, after = k * STRETCH, jnp.minimum((k + 1) * STRETCH, track.steps)
+            state = jax.lax.fori_loop(first // together, after // together, steps, state)
             return _as_lanes(moved_on(fold, own, own_slopes, state), scalar)
 
         begun, slopes = pushed(begin, (own,), along.moving, own_slopes)
@@ -186,20 +196,31 @@ def _exact(value: Any) -> Any:
 
 def _reciprocal(value: Any) -> Any:
     """1/x, whose last bit is the processor's: one instruction instead of eight."""
-    return _exact(value) if jnp.ndim(value) == 0 else _instruction("rcp", value)
+    return _exact(value) if jnp.ndim(value) == 0 else _instruction("rcp.approx.ftz.f32", value)
 
 
 def _root(value: Any) -> Any:
     """√x likewise."""
-    return jnp.sqrt(value) if jnp.ndim(value) == 0 else _instruction("sqrt", value)
+    return jnp.sqrt(value) if jnp.ndim(value) == 0 else _instruction("sqrt.approx.ftz.f32", value)
 
 
-def _instruction(name: str, value: Any) -> Any:
+def _fused(one: Any, other: Any, rest: Any) -> Any:
+    """a·b + c in one instruction: JAX has no name for it, and this compiler joins no two by itself."""
+    shape = jnp.broadcast_shapes(*map(jnp.shape, (one, other, rest)))
+    if not shape:
+        return plainly_fused(one, other, rest)
+    return _instruction(
+        "fma.rn.f32", *(jnp.broadcast_to(jnp.asarray(each, jnp.float32), shape) for each in (one, other, rest))
+    )
+
+
+def _instruction(name: str, *values: Any) -> Any:
+    places = ", ".join(f"${i}" for i in range(len(values) + 1))
     (found,) = triton.elementwise_inline_asm(
-        f"{name}.approx.ftz.f32 $0, $1;",
-        args=[value],
-        constraints="=f,f",
+        f"{name} {places};",
+        args=list(values),
+        constraints=",".join(["=f", *("f" for _ in values)]),
         pack=1,
-        result_shape_dtypes=[jax.typeof(value)],
+        result_shape_dtypes=[jax.typeof(values[0])],
     )
     return found

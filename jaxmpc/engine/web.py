@@ -5,6 +5,7 @@ condition, between something and 1, that are divided by each other one is left. 
 reciprocals if it is negative.
 """
 
+from collections import Counter
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -77,6 +78,26 @@ class Web:
             before = [turn[each] for each in self.nodes[place].operands]
             turn[place] = max(before) if before and place not in as_traced else place
         return sorted(turn, key=lambda place: (turn[place], place))
+
+    def fused(self, order: list[int], results: list[int]) -> dict[int, int]:
+        """Sums of numbers that may take a product in themselves, and which; nothing else needs that product.
+
+        Args:
+            order: Places that are computed.
+            results: Places that are wanted as they are.
+        """
+        users = Counter([*results, *(operand for place in order for operand in self.nodes[place].operands)])
+        found = dict[int, int]()
+        for place in order:
+            if self._is_arithmetic(place, "add", "sub"):
+                for operand in self.nodes[place].operands:
+                    if self._is_arithmetic(operand, "mul") and users[operand] == 1:
+                        found[place] = operand
+        return found
+
+    def _is_arithmetic(self, place: int, *names: str) -> bool:
+        """Whether it is one of these, of real numbers: of whole ones JAX's own equation is kept."""
+        return self.nodes[place].name in names and self.equations[place] is None
 
     def _reached(self, results: list[int]) -> set[int]:
         """Places that some results need, their own among them."""

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmpc.engine.fewer_operations import Inverses, lean
-from jaxmpc.engine.lane_ops import lane_ops, sines, turned
+from jaxmpc.engine.fewer_operations import Instructions, lean
+from jaxmpc.engine.lane_ops import lane_ops, plainly_fused, sines, turned
 from jaxmpc.engine.tangents import pushed
 
-EXACT = Inverses(lambda value: 1.0 / value, jnp.sqrt)
+EXACT = Instructions(lambda value: 1.0 / value, jnp.sqrt, plainly_fused)
 OPS = lane_ops(jnp.float32)
 C, X, Y = (jnp.linspace(low, 3.0, 7, dtype=jnp.float32) for low in (1.0, -2.0, 0.5))
 
@@ -38,7 +38,7 @@ def test_quotients_become_products() -> None:
     def function(c: Any, x: Any, y: Any) -> Any:
         return {"a": x / y + 2.0 / y, "b": jnp.where(x > 0.0, x / 3.0, -x), "c": 1.0 / y}
 
-    found = lean(function, Inverses(reciprocal, jnp.sqrt), C, X, Y)
+    found = lean(function, Instructions(reciprocal, jnp.sqrt, plainly_fused), C, X, Y)
     jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-6), found, function(C, X, Y))
     assert len(asked) == 2
 
@@ -60,9 +60,31 @@ def test_slopes_of_quotients_become_products_too() -> None:
     def function(x: Any) -> Any:
         return jax.jvp(lambda x: 2.0 / x, (x,), (jnp.ones_like(x),)), ruled(x + 1.0), x**-3, x**5, x**0
 
-    found, wanted = lean(function, Inverses(reciprocal, jnp.sqrt), Y), function(Y)
+    found, wanted = lean(function, Instructions(reciprocal, jnp.sqrt, plainly_fused), Y), function(Y)
     jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-6), found, wanted)
     assert len(asked) == 2
+
+
+def test_a_product_is_added_in_one_instruction() -> None:
+    """Unless something else needs it too, or it is of whole numbers."""
+    asked = []
+
+    def fused(*each: Any) -> Any:
+        asked.append(each)
+        return plainly_fused(*each)
+
+    def function(c: Any, x: Any, y: Any) -> Any:
+        once = x * y + c, c - x * c, y * c - x, (x * x + y * y) + c
+        twice, wanted, whole = jnp.exp(x) * y, y * y * c, jnp.int32(2) * jnp.arange(7) + 1
+        return *once, twice + c, twice - x, wanted, wanted + x, whole
+
+    processor = Instructions(lambda value: 1.0 / value, jnp.sqrt, fused)
+    jax.tree.map(
+        lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6),
+        lean(function, processor, C, X, Y),
+        function(C, X, Y),
+    )
+    assert len(asked) == 4
 
 
 def test_what_is_linearised_stays_what_it_is() -> None:
