@@ -92,14 +92,8 @@ def check_parity(experiment: Experiment) -> None:
         assert (np.asarray(found.gain)[0, row] == 1.0).all()
 
 
-@pytest.mark.parametrize(
-    "experiment",
-    [
-        pytest.param(FINE, id="fine", marks=pytest.mark.oracle),
-        pytest.param(HARD, id="hard"),
-        pytest.param(EULER, id="nominal", marks=pytest.mark.oracle),
-    ],
-)
+@pytest.mark.oracle
+@pytest.mark.parametrize("experiment", [FINE, HARD, EULER], ids=["fine", "hard", "nominal"])
 def test_five_seconds_are_those_of_the_mujoco_loop(experiment: Experiment) -> None:
     check_parity(experiment)
 

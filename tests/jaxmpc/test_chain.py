@@ -62,6 +62,7 @@ def check(of, compiled, states):
         np.testing.assert_allclose(found, wanted, rtol=0, atol=RELATIVE * np.abs(wanted).max(), err_msg=name)
 
 
+@pytest.mark.oracle
 def test_kinematics_and_dynamics_are_mujocos():
     check(CHAIN, model(), random_states(1000))
 

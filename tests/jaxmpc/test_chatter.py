@@ -69,6 +69,7 @@ def test_noise_is_summed_like_the_variance_of_the_independent_loop(
         np.testing.assert_allclose(found, expected * SILENT.noise, rtol=0.005)
 
 
+@pytest.mark.oracle
 def test_frequency_gives_effort_and_chatter_of_the_linear_loop() -> None:
     """With heart, noise and rounding to the sensor's LSB as an experiment simulates them."""
     experiment = msgspec.structs.replace(Experiment.published("table-1-wam"), physics="linear")

@@ -183,6 +183,7 @@ def test_two_samples_cost_nine_operations_an_axis() -> None:
     assert operations(TWO) - operations(ONE) == 9
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("name", "before", "after"), [("text", 11.97, 7.24), ("cautious", 3.06, 2.60)])
 def test_where_there_are_two_samples_it_leaves_more_margin(name: str, before: float, after: float) -> None:
     """The peaks are those of docs/arm.md."""

@@ -73,6 +73,7 @@ def test_density_adds_up_to_the_power_of_a_line(steps: int) -> None:
     np.testing.assert_allclose(np.delete(spectrum.density[0], [11, 12, 13]), 0.0, atol=1e-12)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("seed", range(3))
 def test_peaks_are_scipys(seed: int) -> None:
     """Which lines there are, by scipy's peaks over scipy's median, and where, by its bounded least squares.

@@ -25,14 +25,9 @@ BRIEF = changed(with_physics(TABLE, "mjx"), duration=0.05, settle=0.02, stiffnes
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("physics", ["linear", "mjx"])
-def test_what_an_engine_declares_it_can_differentiate(physics: str) -> None:
-    """Each mode that it has, on three samples, against the other; `test_arm_gradients.py` has the scan's on the arm.
-
-    They are two programs in one process: the model of mjx must not belong to the trace of the first.
-    """
-    mjx._stock.cache_clear()
-    experiment = changed(with_physics(BRIEF, physics), duration=0.003, settle=0.0)
+def test_what_the_scan_declares_it_can_differentiate() -> None:
+    """Each mode that it has, on three samples, against the other; `test_arm_gradients.py` has those on the arm."""
+    experiment = changed(with_physics(BRIEF, "linear"), duration=0.003, settle=0.0)
     spec, data = program_spec(experiment), scenario_data(experiment)
     engine, params = ENGINES[spec.engine], jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], Params())
     gains, K2, contacts, *_ = jax.jit(close_loops)(params, data.stiffness, data.path)
@@ -44,6 +39,33 @@ def test_what_an_engine_declares_it_can_differentiate(physics: str) -> None:
     found = [float(jax.jit(SLOPES[mode](residual))(jnp.ones(()))) for mode in engine.modes]
     assert found[0] != 0.0
     np.testing.assert_allclose(found, found[0], rtol=1e-6)
+
+
+@pytest.mark.oracle
+def test_stock_mjx_has_the_slopes_that_its_engine_declares() -> None:
+    """In both modes through three samples, as the scan's loop takes them, against a central difference.
+
+    They are programs of one process: the model of mjx must not belong to the trace of the first.
+    """
+    mjx._stock.cache_clear()
+    spread = jnp.ones(4)
+
+    def after(factor: Any) -> Any:
+        def sample(state: Any, _: None) -> Any:
+            q, qd = state
+            torque = factor * jnp.array([1.0, -20.0, 2.0, 5.0]) - 3.0 * qd
+            qdd = jnp.stack(mjx.accelerate(chain(), tuple(q), tuple(qd), tuple(torque), 0.0, tuple(spread), 1e-3, None))
+            return (q + 1e-3 * qd, qd + 1e-3 * qdd), None
+
+        begin = jnp.array([0.0, 0.7, 0.0, 2.2]), 0.1 * spread
+        (q, qd), _ = jax.lax.scan(jax.checkpoint(sample), begin, None, length=3)
+        return jnp.sum(q) + jnp.sum(qd)
+
+    declared = [float(jax.jit(SLOPES[mode](after))(jnp.ones(()))) for mode in ENGINES["mjx"].modes]
+    value, step = jax.jit(after), 1e-4
+    # Quadratic in the step, of a function whose third slope is as large as its first.
+    central = float(value(1.0 + step) - value(1.0 - step)) / (2.0 * step)
+    np.testing.assert_allclose(declared, central, rtol=1e-7)
 
 
 @jax.jit  # a program instead of one for each operation

@@ -147,7 +147,7 @@ class Loop(NamedTuple):
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("critical", [0.8, 0.5, 0.2])
+@pytest.mark.parametrize("critical", [0.8, pytest.param(0.5, marks=pytest.mark.slow), 0.2])
 def test_it_stays_below_the_gain_at_which_a_loop_swings_and_seldom_probes(critical: float) -> None:
     gain, sizes = Loop(critical).run(400.0)
     settled = round(20.0 / T_S)

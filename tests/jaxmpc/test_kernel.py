@@ -68,7 +68,7 @@ def test_linear_loop_is_the_scans_to_rounding(designed: Delay, monkeypatch: pyte
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("name", ["text", "family"])
+@pytest.mark.parametrize("name", [pytest.param("text", marks=pytest.mark.slow), "family"])
 def test_arm_is_the_scans_to_rounding(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With cable, friction, quantisers, limits, guard, schedule and identification."""
     monkeypatch.setattr(kernel, "ARM", Shape(4, 1))

@@ -308,6 +308,7 @@ def test_with_a_share_in_use_the_law_learns_as_its_linear_model(used: float) -> 
     np.testing.assert_allclose(answered, -used * R / (1.0 + (1.0 - used) * seen_at_once(LEARNING, rate, q)), rtol=1e-6)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("hertz", [0.7, 1.3, 2.3])
 def test_what_is_used_in_part_takes_no_margin_either(hertz: float) -> None:
     """With a share h in use, c_n learns of e + (1 − h) times what it would add now: r = −h R/(1 + (1 − h) R₀) e.

@@ -63,6 +63,7 @@ def smallest_lag(L: np.ndarray) -> float:
     return float(np.degrees(np.min(np.mod(angle + np.pi, 2.0 * np.pi))))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("beats", "hertz"), [(2.5, 2.1544), (5.0, 1.7852), (5.0, 1.3)])
 def test_crossings_beside_a_resonance_are_found(beats: float, hertz: float) -> None:
     """A learned harmonic is a pole of L on the unit circle, beside which it crosses the real axis within some mHz."""
@@ -106,7 +107,7 @@ def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
         pytest.param(learning(beats=5.0), id="slowly"),
         pytest.param(FAMILY, id="published", marks=pytest.mark.oracle),
         pytest.param(learning(beats=1.0), id="in a beat", marks=pytest.mark.oracle),
-        pytest.param(learning(harmonics=4), id="4 harmonics", marks=pytest.mark.oracle),
+        pytest.param(learning(harmonics=4), id="4 harmonics", marks=pytest.mark.slow),
         pytest.param(learning(harmonics=12), id="12 harmonics", marks=pytest.mark.oracle),
     ],
 )
@@ -126,6 +127,7 @@ def test_a_rate_that_is_told_counts_and_no_other() -> None:
     assert slow.gain_reduction_db > family_margins(FAMILY, *at).gain_reduction_db + 0.3
 
 
+@pytest.mark.oracle
 def test_the_worst_over_rates_is_that_of_each_margin() -> None:
     """The first learns nothing and tells the radius, unless a loop that learns is unstable; what is no number stays."""
     stable = Margins(

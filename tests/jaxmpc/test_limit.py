@@ -94,6 +94,7 @@ def test_without_a_heart_the_least_is_the_noise_itself() -> None:
     assert 0.010 * (1.0 - 1e-4) <= least_of_all.rms <= 0.010 * 1.01
 
 
+@pytest.mark.oracle
 def test_a_sensor_without_noise_is_as_one_with_hardly_any() -> None:
     """Noise is also the solver's unit, which must not be nothing."""
     none, some = (least(white(1.0, noise), loop_path(), 810.0, "x").reached.rms for noise in (0.0, 1e-6))

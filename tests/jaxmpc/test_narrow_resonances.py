@@ -52,11 +52,13 @@ def check_delay_margin(build: Callable[..., Any], gains: Any, params: Params, K_
     return True
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("params", "K_s"), NARROW)
 def test_delay_margin_at_a_narrow_resonance(independent_loop: Callable[..., Any], params: Params, K_s: float) -> None:
     assert check_delay_margin(independent_loop, design(params), params, K_s, 0.25)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("count", [8, pytest.param(400, marks=pytest.mark.slow)])
 def test_delay_margins_of_random_designs(independent_loop: Callable[..., Any], count: int) -> None:
     random = np.random.default_rng(5)
@@ -102,6 +104,7 @@ QUICK = [
 told, and of a loop like the first at 45 ms a negative one."""
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("params", "K_s", "delay"), QUICK)
 def test_delay_margin_near_the_nyquist_frequency(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int

@@ -147,6 +147,7 @@ def cells(experiment: Experiment, ideal: bool) -> tuple[Any, Any]:
     return found, step_by_step(gains, contacts, scene.lsb, signals)[0].rms
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("name", "ideal"), [("table-1", True), ("table-1-wam", False)])
 def test_frequency_gives_the_residual_of_the_linear_loop(name: str, ideal: bool) -> None:
     found, expected = cells(Experiment.published(name), ideal)
@@ -260,7 +261,7 @@ def test_a_perfect_arm_is_what_the_controller_asks() -> None:
     [
         {},
         {"posture": (0.3, 0.5, 0.4, 1.9), "mass_error": -0.2, "tool_mass_error": 0.1},
-        {"tool_mass": 2.5, "mass_error": -0.2},
+        pytest.param({"tool_mass": 2.5, "mass_error": -0.2}, marks=pytest.mark.slow),
         {"compensation": 0.6},
         {"coulomb": (0.0, 0.0, 0.0, 0.0), "viscous": (1.5, 0.9, 0.5, 0.25), "mass_error": 0.15},
     ],

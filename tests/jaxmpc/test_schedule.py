@@ -118,6 +118,7 @@ def test_the_margins_with_a_knot_held_are_those_of_its_controller() -> None:
         np.testing.assert_allclose(getattr(found, name)[0], value, rtol=1e-9, err_msg=name)
 
 
+@pytest.mark.oracle
 def test_the_published_family_keeps_its_margins_between_its_knots() -> None:
     """The margins of `cautious`, over all of the interval within which the schedule takes over."""
     band = FAMILY.listening.band
@@ -136,6 +137,7 @@ def test_a_family_misses_its_riccati_equations_by_the_worst_of_its_knots(monkeyp
     assert float(missed) == max(float(knot.Q_p) for knot in FAMILY.knots)
 
 
+@pytest.mark.oracle
 def test_a_gradient_goes_through_design_and_schedule() -> None:
     def value(lam: jax.Array) -> jax.Array:
         knots = (FAMILY.knots[0], replace(FAMILY.knots[1], lam=lam), *FAMILY.knots[2:])

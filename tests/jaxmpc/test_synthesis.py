@@ -275,6 +275,7 @@ def test_gradient_of_the_design_is_the_central_difference(architecture: str, ord
     np.testing.assert_allclose(gradient, difference, atol=1e-6 * np.abs(difference).max())
 
 
+@pytest.mark.oracle
 def test_redundant_scales_cancel() -> None:
     """Only λ/δ and Q/R act."""
 

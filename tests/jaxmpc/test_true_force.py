@@ -39,6 +39,7 @@ def test_responses_are_those_of_the_independent_loop(
             assert complex(over[i]) == pytest.approx(passed[i] * complex(expected), rel=1e-7)
 
 
+@pytest.mark.oracle
 def test_frequency_gives_true_force_and_swinging_of_the_linear_loop() -> None:
     """With heart, noise and rounding to the sensor's LSB as an experiment simulates them."""
     experiment = msgspec.structs.replace(Experiment.published("table-1-wam"), physics="linear")

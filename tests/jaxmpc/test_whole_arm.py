@@ -76,6 +76,7 @@ def at_rest(loop: ArmLoop, cell: Cell) -> tuple[np.ndarray, Any]:
     return np.array(leaves, float), structure
 
 
+@pytest.mark.oracle
 def test_it_is_the_slope_of_one_sample() -> None:
     """Cable mode, wrong masses, two samples of delay; quantisers and Coulomb friction are switched off here by hand."""
     swinging: dict[str, Any] = {"mass_error": -0.2, "cable_hz": 30.0}

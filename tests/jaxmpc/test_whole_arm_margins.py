@@ -150,6 +150,7 @@ def test_a_low_pass_of_ones_own_takes_the_place_of_the_arms() -> None:
         assert (np.abs(np.asarray(getattr(own, name).M_s) / np.asarray(getattr(quick, name).M_s) - 1.0) > 1e-3).all()
 
 
+@pytest.mark.oracle
 def test_a_filter_of_the_force_is_one_wherever_it_is_named() -> None:
     """The experiment's, or the controller's own."""
     given = experiment(stiffness=(375.0,))
@@ -162,6 +163,7 @@ def test_a_filter_of_the_force_is_one_wherever_it_is_named() -> None:
         assert (np.abs(np.asarray(getattr(own, name).M_s) / np.asarray(getattr(bare, name).M_s) - 1.0) > 1e-3).all()
 
 
+@pytest.mark.oracle
 def test_one_controller_at_a_time() -> None:
     with pytest.raises(InputError, match="one controller"):
         whole_arm_margins(Params.stack([Params(), Params()]), experiment())

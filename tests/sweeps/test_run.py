@@ -49,6 +49,7 @@ def test_the_hash_sees_every_column(finished: Finished) -> None:
         assert Result(result.plan, columns).hash != result.hash
 
 
+@pytest.mark.oracle
 def test_no_bit_depends_on_the_order_of_rows(spec: SweepSpec, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor on how many blocks of a device are asked for at a time: here two and one."""
     monkeypatch.setattr("jaxmpc.xla.blocks.BLOCK", 32)

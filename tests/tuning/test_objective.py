@@ -211,6 +211,7 @@ def test_spectra_and_runs_agree_on_effort_and_chatter(small: Job) -> None:
     np.testing.assert_allclose(coarse.effort, fine.effort, rtol=0.05)
 
 
+@pytest.mark.oracle
 def test_a_start_that_stands_still_has_a_slope(small: Job) -> None:
     """Unstable, it stands still, so that its effort is 0."""
     spec = TuneSpec.from_dict(small(params={"Khat_s": 200.0}, goals={"effort": 3.0}))

@@ -235,7 +235,13 @@ def radii_alone(cells: stability.Cells, _: Any) -> stability.Margins:
 
 @pytest.mark.oracle
 @pytest.mark.usefixtures("few")
-@pytest.mark.parametrize("own", [{}, {"velocity_cutoff": 320.0, "force_cutoff": 900.0}], ids=["plain", "filters"])
+@pytest.mark.parametrize(
+    "own",
+    [
+        pytest.param({}, id="plain", marks=pytest.mark.slow),
+        pytest.param({"velocity_cutoff": 320.0, "force_cutoff": 900.0}, id="filters"),
+    ],
+)
 def test_every_trial_is_the_experiment_it_says(own: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
     """Against the public function, one by one; K̂_s 200 is unstable on stiff tissue, whatever the run does."""
     monkeypatch.setattr(stability, "_block", radii_alone)

@@ -100,6 +100,7 @@ def attack(draw, data, count, forged):
     return refusals, accepted
 
 
+@pytest.mark.oracle
 def test_ten_thousand_inputs(good):
     refusals, accepted = attack(np.random.default_rng(1), good, 10_000, forged=250)
     assert sum(refusals.values()) + accepted >= 9_990

@@ -23,7 +23,7 @@ from tests.deploy.made import arm_artifact
 
 SOON = 1.0
 """Within which a reason is named [s]; the arm is then let go at once, or held or withdrawn for its known time."""
-CONTACTING = Contacting(retract_distance=0.01)
+CONTACTING = Contacting(retract_distance=0.003)
 WITHDRAWN = 2 * CONTACTING.retract_distance / CONTACTING.retract_speed
 """Longest retraction [s]."""
 WAITS = 0.06

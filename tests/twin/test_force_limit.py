@@ -58,7 +58,7 @@ def test_a_sensor_that_lies_is_stopped_below_the_limit(cautious, lie, tissue, st
 @pytest.mark.oracle
 @pytest.mark.parametrize("tissue", KINDS)
 @pytest.mark.parametrize("lie", LYING)
-@pytest.mark.parametrize("stiffness", [1300.0, 1900.0])
+@pytest.mark.parametrize("stiffness", [pytest.param(1300.0, marks=pytest.mark.slow), 1900.0])
 def test_no_lie_from_the_start_presses_beyond_the_limit_on_any_tissue(cautious, lie, tissue, stiffness):
     check(flown(cautious, lie, tissue, stiffness, "before"))
 
@@ -92,6 +92,7 @@ def test_a_loop_that_swings_is_ended_before_it_presses_beyond_the_limit(cautious
     assert fly(cautious, *swinging, seed=339).push > LIMIT + 4.0
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("stiffness", [375.0, 1900.0])
 def test_an_approach_that_no_sensor_tells_of_is_ended_by_the_motors(cautious, monkeypatch, stiffness):
     """A sensor that is alive and reads next to nothing: by its word the tissue is met at 30 N."""
