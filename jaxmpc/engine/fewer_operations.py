@@ -92,11 +92,18 @@ class _Values:
         return equation.primitive.bind(*values, **equation.params)
 
     def _fused(self, name: str, operands: tuple[int, ...], product: int) -> Any:
-        one, other = map(self.value, self.web.nodes[product].operands)
-        rest = self.value(operands[1] if operands[0] == product else operands[0])
-        if name == "sub":
-            one, rest = (one, -rest) if operands[0] == product else (-one, rest)
-        return self.processor.fused(one, other, rest)
+        factor, other = self.web.nodes[product].operands
+        rest = operands[1] if operands[0] == product else operands[0]
+        if name == "add":
+            return self.processor.fused(*map(self.value, (factor, other, rest)))
+        if operands[0] == product:
+            return self.processor.fused(self.value(factor), self.value(other), self._negative(rest))
+        return self.processor.fused(self._negative(factor), self.value(other), self.value(rest))
+
+    def _negative(self, place: int) -> Any:
+        """A number's is a number: Triton knows no operation on nothing but numbers."""
+        number = self.web.number(place)
+        return -self.value(place) if number is None else -number
 
     def _sines(self, angle: int) -> tuple[Any, Any]:
         if angle not in self.sines:

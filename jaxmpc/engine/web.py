@@ -109,12 +109,16 @@ class Web:
                 stack += self.nodes[place].operands
         return found
 
-    def equals(self, place: int, number: float) -> bool:
-        """Whether a value is this number."""
+    def number(self, place: int) -> float | None:
+        """The number that a value is, wherever the program runs; None if it is none."""
         name, operands, told = self.nodes[place]
         if name in ("broadcast_in_dim", "convert_element_type"):
-            return self.equals(operands[0], number)
-        return bool(name == "number" and told[0] == number)
+            return self.number(operands[0])
+        return float(told[0]) if name == "number" else None
+
+    def equals(self, place: int, number: float) -> bool:
+        """Whether a value is this number."""
+        return self.number(place) == number
 
     def _input(self, value: Any) -> int:
         self.inputs.append(value)

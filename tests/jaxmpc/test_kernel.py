@@ -103,6 +103,20 @@ def test_a_kernel_has_an_access_for_each_kind_of_constants_and_one_for_its_resul
     assert accesses(jaxpr.jaxpr) == kinds + 1
 
 
+@pytest.mark.filterwarnings("ignore:The Pallas Triton backend is deprecated")
+def test_a_gpu_is_given_the_instructions_that_its_compiler_does_not_find(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the kernel is lowered for a GPU, of which there need be none."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    gpu = jax.sharding.AbstractDevice("NVIDIA H200", 132, "gpu")
+    spec, data = program_spec(ARM), scenario_data(ARM)
+    loops = closed(varied(Params(), K2=[10.0, 11.0]), data.stiffness, data.path)
+    run = jax.jit(lambda: Kernel().simulate(spec, loops.gains, loops.K2, loops.contacts, data, "float32").metrics.rms)
+    with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((1,), ("device",), abstract_device=gpu)):
+        text = run.trace().lower(lowering_platforms=("cuda",)).as_text()
+    for instruction in ("fma.rn.f32", "rcp.approx.ftz.f32", "sqrt.approx.ftz.f32"):
+        assert instruction in text
+
+
 def test_samples_come_from_the_scan() -> None:
     spec, data = program_spec(LINEAR), scenario_data(LINEAR)
     loops = closed(varied(Params(), K2=[10.0]), data.stiffness, data.path)
