@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from deploy.runtime.straightline import OPS, compile_straightline
 from jaxmpc import Experiment, Params, design
 from jaxmpc.engine.base import scalars
 from jaxmpc.engine.scenario import scenario_data
@@ -16,8 +17,11 @@ from jaxmpc.law.belief import decide
 from jaxmpc.law.gains import Gains
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.stiffness import SILENT, UNHEARD, Alarm, unknown
-from jaxmpc.loop.linear import AxisSignals, advance, start
+from jaxmpc.loop import linear
+from jaxmpc.loop.linear import start
 from jaxmpc.stability.loop import contact_of
+from jaxmpc.world.contact import Contact, ContactState, sense
+from jaxmpc.world.quantise import quantise
 
 FAMILY = Params.published("family")
 T_s = 1e-3
@@ -45,6 +49,31 @@ def gains() -> Gains:
     return found
 
 
+def sampled(law: Gains, world: Contact, carry: Any, met: Any, force: Any, wanted: Any, stiffness: Any, ops: Any) -> Any:
+    """A sample of the loop whose sensor says so much, and what a flight keeps of it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(linear, "quantise", lambda *_: force)
+        now = linear.AxisSignals(met, 0.0, (wanted,), 1.0)
+        carry, sample = linear.advance(law, world._replace(stiffness=stiffness), 0.0, carry, now, ops)
+    known = carry.controller.tissue
+    return carry, (
+        *(sample.force, sample.force - wanted, sample.tip),
+        *(known.log_stiffness, known.authority, known.listening, known.width),
+    )
+
+
+def recorded(law: Gains, world: Contact) -> Callable[..., Any]:
+    """The same as the robot runs it, a tenth as long; the carry comes and goes as plain tuples."""
+    return compile_straightline(
+        lambda *inputs: sampled(law, world, *inputs, ops=OPS), (start(law), 0.0, 0.0, 0.0, 0.0)
+    ).function
+
+
+def flat(tree: Any) -> Any:
+    """As plain tuples."""
+    return tuple(map(flat, tree)) if isinstance(tree, tuple) else tree
+
+
 @pytest.fixture(scope="module")
 def fly(gains: Gains) -> Callable[..., Flight]:
     experiment = Experiment.published("table-1")
@@ -55,26 +84,36 @@ def fly(gains: Gains) -> Callable[..., Flight]:
     lsb = float(data.lsb[2])
 
     def flight(stiffness: Callable[[float], float], seconds: float, law: Gains = gains, push: float = 0.0) -> Flight:
-        """Z of Table I on the linear loop, in plain floats, with the tissue's stiffness a function of time [s].
+        """Z of Table I on the linear loop, with the tissue's stiffness a function of time [s].
 
         Beats come early at `EARLY`; a tip that stands still would be pushed by so much [N].
         """
         world = floats(contact_of(stiffness(0.0), FAMILY.K2, experiment.loop_path()))
-        carry, rows = start(law), []
-        for k in range(round(seconds / T_s)):
-            begun = (k * T_s - EARLY) / WIDTH
-            pushed = (
-                0.5 * push / stiffness(0.0) * np.sum(1.0 - np.cos(2.0 * np.pi * begun[(begun > 0.0) & (begun < 1.0)]))
-            )
-            now = AxisSignals(float(heart[k] + pushed), float(noise[k]), (float(wanted[k, 0]),), 1.0)
+        times = T_s * np.arange(round(seconds / T_s))
+        begun = (times[:, None] - EARLY) / WIDTH
+        beats = np.sum(np.where((begun > 0.0) & (begun < 1.0), 1.0 - np.cos(2.0 * np.pi * begun), 0.0), axis=1)
+        pushed = (heart[: len(times)] + 0.5 * push / stiffness(0.0) * beats).tolist()
+        sample, carry, rows = recorded(law, world), flat(start(law)), []
+        for k, met in enumerate(pushed):
             world = world._replace(stiffness=stiffness(k * T_s))
-            carry, sample = advance(law, world, lsb, carry, now, FLOATS)
-            known = carry.controller.tissue
-            rows.append((sample.force, sample.force - now.force_ref[0], sample.tip, np.exp(known.log_stiffness)))
-            rows[-1] += (known.authority, known.listening, known.width)
-        return Flight(*np.array(rows).T)
+            clean, _ = sense(world, ContactState(*carry[1]), met)
+            force = quantise(clean + float(noise[k]), lsb, FLOATS)
+            carry, seen = sample(carry, met, force, float(wanted[k, 0]), world.stiffness)
+            rows.append(seen)
+        force, error, tip, log_stiffness, *belief = np.array(rows).T
+        return Flight(force, error, tip, np.exp(log_stiffness), *belief)
 
     return flight
+
+
+def test_a_flight_is_the_loop_in_plain_floats_to_the_last_bit(gains) -> None:
+    world = floats(contact_of(810.0, FAMILY.K2, Experiment.published("table-1").loop_path()))
+    sample, ours, theirs = recorded(gains, world), flat(start(gains)), start(gains)
+    for k, force in enumerate(-5.0 + np.random.default_rng(0).standard_normal(300)):
+        met = 1e-3 * np.sin(0.01 * k), float(force), -5.0, 810.0 + k
+        (ours, seen), (theirs, wanted) = sample(ours, *met), sampled(gains, world, theirs, *met, ops=FLOATS)
+        assert seen == wanted
+        assert ours == flat(theirs)
 
 
 @pytest.mark.oracle
