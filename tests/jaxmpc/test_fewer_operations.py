@@ -74,7 +74,7 @@ def test_a_product_is_added_in_one_instruction() -> None:
         return plainly_fused(*each)
 
     def function(c: Any, x: Any, y: Any) -> Any:
-        once = x * y + c, c - x * c, y * c - x, (x * x + y * y) + c
+        once = x * y + c, c - x * c, y * c - x, (x * x + y * y) + c, c * c - 2.0, c - 3.0 * y
         twice, wanted, whole = jnp.exp(x) * y, y * y * c, jnp.int32(2) * jnp.arange(7) + 1
         return *once, twice + c, twice - x, wanted, wanted + x, whole
 
@@ -84,7 +84,7 @@ def test_a_product_is_added_in_one_instruction() -> None:
         lean(function, processor, C, X, Y),
         function(C, X, Y),
     )
-    assert len(asked) == 4
+    assert len(asked) == 6
 
 
 def test_what_is_linearised_stays_what_it_is() -> None:
