@@ -4,7 +4,7 @@ Where the host has several GPUs, the kernel then runs as many controllers on eac
 one alone (`--scaling`: that only); efficiency is the rate over as many times the rate of one.
 
 An axis-step is one sample of one axis of the linear loop, an arm step one of everything on the arm. Floor: 67
-instructions of an axis-step and some 1 600 of an arm step (84 and 2 200 operations, a product and a sum being one
+instructions of an axis-step and some 1 600 of an arm step (92 and 2 200 operations, a product and a sum being one
 instruction where nothing else needs the product); printed beside each rate is the share of the chip's that so many are.
 """
 

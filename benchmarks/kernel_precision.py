@@ -16,7 +16,7 @@ SECONDS = 25.0
 
 
 def main() -> None:
-    """Run all three and print."""
+    """Run them in both worlds and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--physics", nargs="+", choices=list(CONTROLLERS), default=list(CONTROLLERS))
     args = parser.parse_args()

@@ -32,7 +32,7 @@ class Instructions(NamedTuple):
 
     reciprocal: Callable[[Any], Any]
     root: Callable[[Any], Any]
-    fused: Callable[[Any, Any, Any], Any]
+    fused: lane_ops.Fused
     """a·b + c, rounded once."""
 
 

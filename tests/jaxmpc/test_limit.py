@@ -18,7 +18,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.limit.comparison import LimitCell, flown_by, left_by, told
 from jaxmpc.limit.flight import flown
 from jaxmpc.limit.judged import Judged
-from jaxmpc.limit.law import LinearLaw, response
+from jaxmpc.limit.law import LinearLaw, response, transfer
 from jaxmpc.limit.least import LINES, Demands, Limit, largest_sensitivity, least, limit_of
 from jaxmpc.limit.plant import plant_of
 from jaxmpc.limit.youla import law_of, signals, stabiliser
@@ -70,6 +70,19 @@ def white(density: float, noise: float, lines: int = 3000) -> Spectrum:
     theta = (np.arange(lines) + 0.5) * np.pi / lines
     push = np.full((3, lines), np.sqrt(2.0 * density / lines), complex)
     return Spectrum(theta, np.zeros_like(push), push, np.full(3, noise))
+
+
+def test_a_transfer_is_what_solving_at_each_angle_finds() -> None:
+    """Of states whose scales lie nine orders of magnitude apart, and with delays, which no eigenvectors tell apart."""
+    random, theta = np.random.default_rng(0), np.geomspace(1e-3, 3.1, 50)
+    A = random.standard_normal((12, 12))
+    A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+    A = np.block([[A, random.standard_normal((12, 4))], [np.zeros((4, 12)), np.eye(4, k=1)]])
+    scale = np.geomspace(1e-6, 1e3, 16)
+    A, B, C = A * scale[:, None] / scale, random.standard_normal((16, 2)) * scale[:, None], np.ones((3, 16)) / scale
+    C[1:] *= random.standard_normal((2, 16))
+    each = [C @ np.linalg.solve(z * np.eye(16) - A, B) for z in np.exp(1j * theta)]
+    np.testing.assert_allclose(transfer(A, B, C, theta), each, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("stiffness", "damping", "delay"), [(375.0, 0.0, 1), (1900.0, 12.0, 2)])

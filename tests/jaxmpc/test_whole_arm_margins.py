@@ -163,7 +163,6 @@ def test_a_filter_of_the_force_is_one_wherever_it_is_named() -> None:
         assert (np.abs(np.asarray(getattr(own, name).M_s) / np.asarray(getattr(bare, name).M_s) - 1.0) > 1e-3).all()
 
 
-@pytest.mark.oracle
 def test_one_controller_at_a_time() -> None:
     with pytest.raises(InputError, match="one controller"):
         whole_arm_margins(Params.stack([Params(), Params()]), experiment())
