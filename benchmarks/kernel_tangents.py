@@ -64,7 +64,8 @@ def compared(physics: str, batch: int, shapes: Any, with_scan: bool) -> list[dic
     base = Experiment.published("table-1" if physics == "linear" else "table-1-wam")
     short = msgspec.structs.replace(base, duration=SECONDS[physics], settle=1.0)
     experiment = with_physics(short, physics)
-    spec, data = program_spec(experiment), scenario_data(experiment)
+    whole, data = program_spec(experiment), scenario_data(experiment)
+    spec = whole._replace(slopes=("rms",))
     loops, along = controllers(batch, data)
 
     def rms(name: str, loops: Any) -> Any:

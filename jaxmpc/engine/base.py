@@ -27,6 +27,8 @@ class ProgramSpec(NamedTuple):
     preview: bool
     robot: RobotStructure | None
     """Structure of the arm's world; None is the linear loop."""
+    slopes: tuple[str, ...] | None = None
+    """Metrics whose slopes are wanted, None for all. An engine may leave out the others', which then are NaN."""
 
 
 class ScenarioData(NamedTuple):

@@ -4,6 +4,7 @@
 one kernel takes all of them, so many to a program (`Shape.directions`), beside one run that they share.
 """
 
+from math import nan
 from typing import Any, NamedTuple
 
 import jax
@@ -30,6 +31,8 @@ class Program(NamedTuple):
     along: Shape
     """And where something is."""
     interpret: bool
+    wanted: tuple[bool, ...]
+    """Of which leaves that are left the slopes are, where something is differentiated; the others' are NaN."""
 
 
 def episodes(program: Program, lane: Any, signals: Any) -> Any:
@@ -64,7 +67,10 @@ def _jvp(program: Program, primals: Any, tangents: Any) -> tuple[Any, Any]:
     moving = tuple(not _is_zero(slope) for slope in by_lane)
     left, slopes = _one_direction(program, moving)(lane, signals, only(moving, by_lane))
     leaves, tree = jax.tree.flatten(left)
-    full = [jnp.zeros_like(leaf) if slope is None else slope for leaf, slope in zip(leaves, slopes, strict=True)]
+    full = [
+        jnp.full_like(leaf, 0.0 if wanted else nan) if slope is None else slope
+        for leaf, slope, wanted in zip(leaves, slopes, program.wanted, strict=True)
+    ]
     return left, jax.tree.unflatten(tree, full)
 
 
@@ -116,7 +122,7 @@ def _run(program: Program, lane: Any, signals: Any, moving: tuple[bool, ...], sl
         wide = [jnp.pad(slope, ((0, filled), *((0, 0),) * (slope.ndim - 1))) for slope in slopes]
         _, own = packed(only(moving, jax.tree.leaves(lane)), shape, precision)
         arrays = jax.vmap(lambda leaves: packed(leaves, shape, precision)[0])(wide)
-        along = Directions(moving, own, tuple(map(jnp.ravel, arrays)), count + filled)
+        along = Directions(moving, program.wanted, own, tuple(map(jnp.ravel, arrays)), count + filled)
     ops = lane_ops(precision)
     left, found = run_episodes(
         program.episode, layout, track, ops, cut, constants, row, along, interpret=program.interpret

@@ -9,13 +9,14 @@ import jax.numpy as jnp
 from jaxmpc import swing
 from jaxmpc.engine.base import CellResults, Engine, Mode, ProgramSpec, ScenarioData, scalars
 from jaxmpc.engine.differentiable import Program, episodes
-from jaxmpc.engine.episode import ArmEpisode, ArmLane, AxisEpisode, AxisLane, on_tissues
+from jaxmpc.engine.episode import ArmEpisode, ArmFound, ArmLane, AxisEpisode, AxisFound, AxisLane, on_tissues
 from jaxmpc.engine.forward_dynamics import implicit
 from jaxmpc.engine.pallas_triton import Shape
 from jaxmpc.engine.scan import Scan
+from jaxmpc.engine.tangents import movers
 from jaxmpc.law.gains import Gains
-from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell
-from jaxmpc.metrics import Metrics, metrics, no_joints
+from jaxmpc.loop.arm import ArmLoop, ArmSignals, Cell, Trouble
+from jaxmpc.metrics import Extremes, JointTotals, Metrics, Sums, metrics, no_extremes, no_joints, no_sums
 from jaxmpc.world.arm import chain
 from jaxmpc.world.contact import Contact
 from jaxmpc.xla import ops
@@ -54,11 +55,11 @@ class Kernel(Engine):
         apart = scalars(gains, spec.preview)
         if spec.robot is None:
             assert contacts is not None
-            return _axes(apart, contacts, data, dtype)
+            return _axes(spec, apart, contacts, data, dtype)
         return _arm(spec, apart, K2, data, dtype)
 
 
-def _axes(gains: Gains, contacts: Contact, data: ScenarioData, dtype: Any) -> CellResults:
+def _axes(spec: ProgramSpec, gains: Gains, contacts: Contact, data: ScenarioData, dtype: Any) -> CellResults:
     """The linear loop: a group is an axis."""
     signals, judged = data.signals, data.signals.late is not None
     contact = jax.tree.map(jnp.transpose, contacts)
@@ -70,7 +71,9 @@ def _axes(gains: Gains, contacts: Contact, data: ScenarioData, dtype: Any) -> Ce
         swing.high_pass(contact.T_s, ops) if judged else None,
     )
     shape = len(signals.heart), *contact.T_s.shape
-    sums, extremes, diverged, over_limit = _run(AxisEpisode(), lane, shape, signals, (AXIS, AXIS_ALONG), dtype)
+    sums, extremes, _ = _made_of(spec.slopes)
+    wanted = AxisFound(sums, extremes, diverged=True, over_limit=True)
+    sums, extremes, diverged, over_limit = _run(AxisEpisode(), lane, shape, signals, (AXIS, AXIS_ALONG), dtype, wanted)
     scored, late = _per_group(signals.score), _per_group(signals.late) if judged else None
     steps = signals.heart.shape[1]
     found = metrics(sums, extremes, scored, steps, late, no_joints(jnp.zeros_like(sums.error_squared)), ops)
@@ -92,7 +95,9 @@ def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: An
     motions, steps = signals.time.shape
     shape = motions, jnp.shape(data.stiffness)[-1], *jnp.shape(K2)
     episode = ArmEpisode(ArmLoop(chain(), spec.robot, implicit))
-    sums, extremes, joints, trouble = _run(episode, lane, shape, signals, (ARM, ARM_ALONG), dtype)
+    sums, extremes, joints = _made_of(spec.slopes)
+    wanted = ArmFound((sums,) * 3, (extremes,) * 3, joints, Trouble(*(True,) * len(Trouble._fields)))
+    sums, extremes, joints, trouble = _run(episode, lane, shape, signals, (ARM, ARM_ALONG), dtype, wanted)
     scored, late = jnp.sum(signals.score, axis=1), _per_group(signals.late) if judged else None
     axes = zip(sums, extremes, jnp.moveaxis(scored, 1, 0)[..., None, None], strict=True)
     each = [metrics(added, most, counted, steps, late, joints, ops) for added, most, counted in axes]
@@ -105,10 +110,27 @@ def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: An
     return CellResults(found, diverged, over_limit, lost_contact, backed_off, None)
 
 
-def _run(episode: Any, lane: Any, shape: Any, signals: Any, cut: tuple[Shape, Shape], dtype: Any) -> Any:
+def _run(episode: Any, lane: Any, shape: Any, signals: Any, cut: tuple[Shape, Shape], dtype: Any, wanted: Any) -> Any:
     interpret = jax.default_backend() == "cpu"
     alone, along = (_as_wide_as_needed(one, shape[1] * shape[2]) for one in cut)
-    return episodes(Program(episode, shape, jnp.dtype(dtype), alone, along, interpret), lane, signals)
+    slopes = tuple(jax.tree.leaves(wanted))
+    return episodes(Program(episode, shape, jnp.dtype(dtype), alone, along, interpret, slopes), lane, signals)
+
+
+def _made_of(names: tuple[str, ...] | None) -> tuple[Sums, Extremes, JointTotals]:
+    """Whether metrics are made of each thing that is gathered; None are all metrics."""
+
+    def chosen(sums: Sums, extremes: Extremes, joints: JointTotals) -> list[Any]:
+        found = metrics(sums, extremes, 1.0, 1.0, 1.0, joints, ops)
+        return [getattr(found, name) for name in (found._fields if names is None else names)]
+
+    zero = jnp.zeros(())
+    gathered = no_sums(zero), no_extremes(zero), no_joints(zero)
+    closed = jax.make_jaxpr(chosen)(*gathered)
+    made: tuple[Sums, Extremes, JointTotals] = jax.tree.unflatten(
+        jax.tree.structure(gathered), movers(closed, (True,) * len(closed.out_avals))
+    )
+    return made
 
 
 def _as_wide_as_needed(cut: Shape, lanes: int) -> Shape:

@@ -36,6 +36,8 @@ class Directions(NamedTuple):
 
     moving: tuple[bool, ...]
     """Which of their leaves move."""
+    wanted: tuple[bool, ...]
+    """Of which leaves that are left tangents are."""
     layout: Layout
     """Where those lie."""
     arrays: tuple[Any, ...]
@@ -44,7 +46,7 @@ class Directions(NamedTuple):
     """How many directions."""
 
 
-NOWHERE = Directions((), Layout(None, (0, 0, 0), (), ()), (), 0)
+NOWHERE = Directions((), (), Layout(None, (0, 0, 0), (), ()), (), 0)
 
 
 def run_episodes(
@@ -74,7 +76,7 @@ def run_episodes(
 
     Returns:
         What is left, leaves (groups, tissues, controllers); and along directions the tangent of each leaf with these in
-        front, None where nothing moves it.
+        front, None where nothing moves it, or nobody wants it.
 
     Raises:
         ValueError: There is more of something than 32 bits can count.
@@ -113,7 +115,7 @@ def run_episodes(
     found_moves: tuple[bool, ...] = ()
     if along.size:
         met = jax.eval_shape(lambda array: episode.taken_apart(at_sample(track, array, 0, 0)), signals)
-        moves, found_moves = movable(begin, one, fold, found, along.moving, example, met)
+        moves, found_moves = movable(begin, one, fold, found, along.moving, example, met, along.wanted)
 
     def kernel(*refs: Any) -> None:
         constant, tangent = refs[: len(constants)], refs[len(constants) : -2]

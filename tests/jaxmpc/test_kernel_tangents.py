@@ -16,9 +16,10 @@ from jaxmpc.engine.lane_ops import lane_ops
 from jaxmpc.engine.pallas_triton import Shape
 from jaxmpc.engine.scan import Scan
 from jaxmpc.engine.scenario import program_spec, scenario_data
-from jaxmpc.engine.tangents import moved, pushed
+from jaxmpc.engine.tangents import movable, moved, movers, pushed
 from jaxmpc.xla import ops
 from tests.jaxmpc.arm_tables import NO_COUNTS, TABLE, changed
+from tuning.job.goals import OF_JOINTS
 
 # Steps that stretches do not divide. No counts: through those a slope is the tuner's, and no difference finds it.
 LINEAR = changed(Experiment.published("table-1"), duration=0.26, settle=0.1, sensor=NO_COUNTS, reference={"z": -1.0})
@@ -44,12 +45,12 @@ class Loop:
         params = Params.published("text").with_columns({"lam": np.array([0.3, 0.4, 0.5])})
         self.loops = jax.jit(close_loops)(params, self.data.stiffness, self.data.path)
 
-    def metrics(self, engine: Any, z: Any) -> Any:
+    def metrics(self, engine: Any, z: Any, spec: Any = None) -> Any:
         loops: ClosedLoops = self.loops
         a, b, c = jnp.exp(z)
         gains = loops.gains._replace(input_gain=a * loops.gains.input_gain, K=b * loops.gains.K)
         contacts = loops.contacts._replace(stiffness=c * loops.contacts.stiffness)
-        return engine.simulate(self.spec, gains, c * loops.K2, contacts, self.data, self.dtype).metrics
+        return engine.simulate(spec or self.spec, gains, c * loops.K2, contacts, self.data, self.dtype).metrics
 
     def jacobian(self, engine: Any) -> Any:
         return self.program(engine)(POINT)[0]
@@ -119,6 +120,58 @@ def test_slopes_of_the_arm_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     """Likewise, of near angles' sines too."""
     monkeypatch.setattr(kernel, "ARM_ALONG", Shape(4, 1, 3))
     check(Loop(ARM, "float32").jacobian(Kernel()), arm().jacobian(Scan()), 1e-2)
+
+
+@pytest.mark.oracle
+def test_slopes_that_are_wanted_are_those_of_all_and_others_are_no_number() -> None:
+    """Fewer tangents are carried for them; values stay as they are."""
+    loop, wanted = linear(), ("chatter", "peak_force")
+    spec = loop.spec._replace(slopes=wanted)
+    values, slopes = jax.jit(lambda z: jax.jvp(lambda z: loop.metrics(Kernel(), z, spec), (z,), (np.eye(3)[0],)))(POINT)
+    jacobian, plain = loop.program(Scan())(POINT)
+    check(values, plain, 1e-9)
+    for name, slope in slopes._asdict().items():
+        if name in wanted:
+            other = getattr(jacobian, name)[..., 0]
+            np.testing.assert_allclose(slope, other, rtol=0, atol=1e-9 * np.abs(other).max(), err_msg=name)
+        else:
+            assert np.isnan(slope).all() != (name in OF_JOINTS), name
+
+
+def test_only_what_moves_and_matters_has_a_tangent() -> None:
+    """Carried: what a constant moves, what that moves in turn, what it moves through a choice alone, what is noise."""
+
+    def begin(lane: Any) -> Any:
+        return {"state": 1.0 * lane["gain"], "sum": 0.0, "chosen": 0.0, "noise": 0.0}
+
+    def one(lane: Any, run: Any, now: Any) -> Any:
+        chosen = jnp.where(run["state"] > 0.0, now, run["chosen"])
+        state = lane["gain"] * run["state"] + run["noise"]
+        return {"state": state, "sum": run["sum"] + state * state, "chosen": chosen, "noise": now}
+
+    def fold(lane: Any, run: Any) -> Any:
+        return run
+
+    def found(run: Any) -> Any:
+        return run["chosen"], run["state"], run["sum"]
+
+    def needed(*wanted: bool) -> Any:
+        return movable(begin, one, fold, found, (True,), {"gain": 1.0}, 1.0, wanted)
+
+    # Leaves of what is carried come by their names: chosen, noise, state, sum.
+    assert needed(True, True, True) == ((False, False, True, True), (False, True, True))
+    assert needed(False, True, False) == ((False, False, True, False), (False, True, False))
+    assert needed(True, False, True) == ((False, False, True, True), (False, False, True))
+    assert needed(True, False, False) == ((False,) * 4, (False,) * 3)
+
+
+def test_what_moves_something_is_what_it_has_a_slope_by() -> None:
+    def program(x: Any, y: Any, z: Any) -> Any:
+        return x * y, jnp.where(x > 0.0, y, 1.0), jnp.floor(x) * z, 0.0 * z
+
+    closed = jax.make_jaxpr(program)(1.5, 2.5, 3.5)
+    for i, moves in enumerate([(True, True, False), (False, True, False), (False, False, True), (False,) * 3]):
+        assert movers(closed, tuple(i == j for j in range(4))) == moves
 
 
 def test_slopes_by_signals_are_refused() -> None:

@@ -114,14 +114,16 @@ def run(loops: ClosedLoops, stable: Bool[Array, " starts"], data: Data, structur
         structure: What the program is of.
     """
     safe = at_rest(loops, stable)
-    cells = cells_of(safe, data, structure)
+    soft_limits, hard_limits = visible_soft(data), {name: data.hard[name] for name in visible_goals(data.hard, data)}
+    metrics = sorted({RUN_GOALS[name].metric.name for name in {*soft_limits, *hard_limits} - {OVERSHOOT}})
+    cells = cells_of(safe, data, structure._replace(world=structure.world._replace(slopes=tuple(metrics))))
     overshoot = overshoot_of(safe, data, structure) if OVERSHOOT in {*data.hard, *data.soft} else None
 
     def goals(limits: Mapping[str, Any]) -> dict[str, Any]:
         wide = {name: jnp.reshape(limit, (-1, 1, 1, 1)) for name, limit in limits.items()}
         return run_goals(cells, data.reference, overshoot, wide)
 
-    soft, hard = goals(visible_soft(data)), goals({name: data.hard[name] for name in visible_goals(data.hard, data)})
+    soft, hard = goals(soft_limits), goals(hard_limits)
     cells_last = jnp.concatenate(_wide(soft), axis=3)
     if data.believed is None:
         per_scenario = jnp.moveaxis(cells_last, 2, 1).reshape(*cells_last.shape[::2], -1)
