@@ -1,10 +1,10 @@
 """What tangents in the kernel cost beside its run, on one GPU: `python -m benchmarks.kernel_tangents`.
 
-Rows are the run alone, one tangent with it, and the gradient by eight parameters: eight tangents, so many to a
-program as its shape says (lanes x warps x directions). `--scan` adds the gradient in reverse mode through the scan,
-which holds what a loop carries at every sample: 512 controllers of the arm are 3 GB. Design is not in the figures:
-its tangents are made before. `--check` holds the gradient in float32 against central differences in float64, without
-counts and saturation, whose slope is straight-through on purpose.
+Rows are the run alone, one tangent of the RMS with it, and its gradient by eight parameters: eight tangents, so many to
+a program as its shape says (lanes x warps x directions). `--scan` adds the gradient in reverse mode through the scan,
+which holds what a loop carries at every sample: 512 controllers of the arm are 3 GB. Design is not in the figures: its
+tangents are made before. `--check` holds the gradient in float32 against central differences in float64, without counts
+and saturation, whose slope is straight-through on purpose.
 """
 
 import argparse
