@@ -38,6 +38,7 @@ def asking(build: Callable[..., Any], params: Params, K_s: float, delay: int, id
     return A, B, a @ A, a @ B
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES)
 def test_responses_are_those_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
@@ -52,6 +53,7 @@ def test_responses_are_those_of_the_independent_loop(
             assert complex(value[i]) == pytest.approx(complex(expected), rel=1e-7)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES)
 def test_noise_is_summed_like_the_variance_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool

@@ -41,6 +41,7 @@ def plant(params: Params) -> tuple[np.ndarray, np.ndarray]:
     return whole, np.eye(known)[-1]
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(
     "params",
     [

@@ -134,6 +134,7 @@ def test_without_bounds_it_is_the_linear_quadratic_gaussian_optimum(density: flo
     assert 0.999 * optimum <= found.rms <= 1.01 * optimum
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("delay", [1, 2])
 def test_stability_sensitivity_and_noise_by_another_model_of_the_loop(on_arm: Spectrum, delay: int) -> None:
     found = least(on_arm, loop_path(delay=delay), 1900.0, "x")
@@ -180,6 +181,7 @@ def test_every_law_keeps_its_promise_in_flight(name: str) -> None:
             assert flight.rms == pytest.approx(found.reached.rms, rel=0.03), (stiffness, axis)
 
 
+@pytest.mark.oracle
 def test_a_study_with_other_models_found_the_same(arm: Experiment, on_arm: Spectrum) -> None:
     # 17.0 and 21.6 mN on the worst axis, 40 functions of another basis, friction of a MuJoCo arm.
     for stiffness, studied in ((375.0, 0.0170), (1900.0, 0.0216)):

@@ -24,6 +24,7 @@ from tests.jaxmpc.judged_loops import CASES, LATE, PARABOLIC, SENSOR, T_S, radiu
 FILTERED = loop_path(force_filter=ForceFilter(T_S, 0.3, 40.0))
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES[:7], PARABOLIC, *LATE])
 def test_closed_form_response_is_that_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool

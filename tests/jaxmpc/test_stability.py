@@ -18,6 +18,7 @@ from jaxmpc.world.loop_path import loop_path
 from tests.jaxmpc.judged_loops import CASES, LATE, PARABOLIC, SENSOR, T_S, TUNED, cut_margins, radius
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), [*CASES, PARABOLIC, *LATE])
 def test_spectral_radius_is_that_of_the_independent_loop(
     independent_loop: Callable[..., Any], params: Params, K_s: float, delay: int, ideal: bool
@@ -57,6 +58,7 @@ def test_gain_or_delay_at_the_margin_puts_a_pole_on_the_unit_circle(
     assert at_the_limit(**{f"late_{place}": 0.98 * late}) < 1.0
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("cut", [0.0, 1.0])
 @pytest.mark.parametrize(("params", "K_s", "delay", "ideal"), CASES[:7])
 def test_margins_are_those_of_python_control(params: Params, K_s: float, delay: int, ideal: bool, cut: float) -> None:

@@ -179,6 +179,7 @@ def everything(flat, ops):
             yield from (800.0 * x for x in jax.tree.leaves(after))
 
 
+@pytest.mark.oracle
 def test_gradients_against_central_differences():
     """With respect to constants, memory, place and rate; forward and reverse; at, across and far from contact."""
     deltas = np.array([-5e-3, -1e-3, -WIDTH, -1e-9, 0.0, 1e-9, WIDTH, 1e-3, 5e-3])

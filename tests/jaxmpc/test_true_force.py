@@ -59,6 +59,7 @@ def test_frequency_gives_true_force_and_swinging_of_the_linear_loop() -> None:
     np.testing.assert_allclose(swinging, simulated.swing, rtol=0.1)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("rms", [true_rms, swing_rms])
 def test_gradients_are_those_of_central_differences(rms: Callable[..., Any]) -> None:
     check_gradient(rms, DAMPED)
