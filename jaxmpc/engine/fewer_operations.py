@@ -3,11 +3,10 @@
     a / b                              a · (1/b): each denominator inverted once, by the processor's own reciprocal
     sin, cos of an angle near another  that one's, turned by the difference (`Ops.near`)
     what is equal                      computed once (`jaxmpc.engine.web`)
-    a·b + c                            one instruction, where nothing else needs a·b
+    a·b + c                            one instruction, where nothing else needs a·b; sums are put together anew for
+                                       it (`jaxmpc.engine.sums`)
 
-and with fewer registers: each tangent comes as soon as it can, not after all values. Sums stay as they stand. Put
-together anew, so that each product is added to something, they keep both factors of each until then: the arm's kernel
-then spills, and its slopes take twice as long.
+and with fewer registers: each tangent comes as soon as it can, not after all values.
 """
 
 import operator
@@ -17,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 
 from jaxmpc.engine import lane_ops
+from jaxmpc.engine.sums import regrouped
 from jaxmpc.engine.web import SINES, Web
 
 OPERATORS: dict[str, Callable[..., Any]] = {
@@ -47,9 +47,11 @@ def lean(function: Callable[..., Any], processor: Instructions, *arguments: Any,
     """
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
     inputs = jax.tree.leaves(arguments)
-    web = Web(inputs)
-    results = web.take(closed.jaxpr, closed.consts, list(range(len(inputs))))
-    order = web.needed(results, len(results) if values is None else values)
+    traced = Web(inputs)
+    places = traced.take(closed.jaxpr, closed.consts, list(range(len(inputs))))
+    values = len(places) if values is None else values
+    web, results = regrouped(traced, places, values)
+    order = web.needed(results, values)
     found = _Values(web, processor, web.fused(order, results))
     for place in order:
         if place not in found.within:

@@ -44,6 +44,8 @@ class Web:
         """What JAX traced, where it is no arithmetic."""
         self.near: dict[int, int] = {}
         """Per angle another near it, if one is known."""
+        self.soon = set[int]()
+        """Places that are computed as soon as they can, values too."""
         self._places = dict[Node, int]()
         for value in inputs:
             self._input(value)
@@ -63,8 +65,20 @@ class Web:
             places.update(zip(equation.outvars, found, strict=True))
         return [place(var) for var in jaxpr.outvars]
 
-    def needed(self, results: list[int], values: int) -> list[int]:
-        """Places that results need, their own among them, in an order in which they can be computed.
+    def copy(self, other: "Web", place: int, operands: list[int], name: str = "") -> int:
+        """Take in an operation of another web.
+
+        Args:
+            other: It has the same inputs.
+            place: The operation's there.
+            operands: Here.
+            name: Another than there.
+        """
+        node = other.nodes[place]
+        return self._at(name or node.name, tuple(operands), node.told, other.equations[place])
+
+    def turns(self, results: list[int], values: int) -> dict[int, int]:
+        """Per place that results need, their own among them, when it is its turn to be computed.
 
         JAX traces all tangents after all values, which would have to be kept until then. Here what only tangents need
         comes as soon as it can.
@@ -73,10 +87,15 @@ class Web:
             results: Places.
             values: How many of them, from the first on, are values; the others are tangents.
         """
-        as_traced, turn = self._reached(results[:values]), dict[int, int]()
+        as_traced, turn = self._reached(results[:values]) - self.soon, dict[int, int]()
         for place in sorted(self._reached(results)):
             before = [turn[each] for each in self.nodes[place].operands]
             turn[place] = max(before) if before and place not in as_traced else place
+        return turn
+
+    def needed(self, results: list[int], values: int) -> list[int]:
+        """These places in an order in which they can be computed; arguments as for `turns`."""
+        turn = self.turns(results, values)
         return sorted(turn, key=lambda place: (turn[place], place))
 
     def fused(self, order: list[int], results: list[int]) -> dict[int, int]:
@@ -89,13 +108,13 @@ class Web:
         users = Counter([*results, *(operand for place in order for operand in self.nodes[place].operands)])
         found = dict[int, int]()
         for place in order:
-            if self._is_arithmetic(place, "add", "sub"):
+            if self.is_arithmetic(place, "add", "sub"):
                 for operand in self.nodes[place].operands:
-                    if self._is_arithmetic(operand, "mul") and users[operand] == 1:
+                    if self.is_arithmetic(operand, "mul") and users[operand] == 1:
                         found[place] = operand
         return found
 
-    def _is_arithmetic(self, place: int, *names: str) -> bool:
+    def is_arithmetic(self, place: int, *names: str) -> bool:
         """Whether it is one of these, of real numbers: of whole ones JAX's own equation is kept."""
         return self.nodes[place].name in names and self.equations[place] is None
 
@@ -107,6 +126,7 @@ class Web:
             if place not in found:
                 found.add(place)
                 stack += self.nodes[place].operands
+                stack += [self.near[each] for each in self.nodes[place].operands if each in self.near]
         return found
 
     def number(self, place: int) -> float | None:

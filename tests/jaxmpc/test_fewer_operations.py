@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxmpc.engine.fewer_operations import Instructions, lean
 from jaxmpc.engine.lane_ops import lane_ops, plainly_fused, sines, turned
@@ -85,6 +86,49 @@ def test_a_product_is_added_in_one_instruction() -> None:
         function(C, X, Y),
     )
     assert len(asked) == 6
+
+
+def test_sums_of_products_take_one_instruction_a_product() -> None:
+    """But the first; whatever is added or taken away, in whichever order, and numbers with it."""
+    made = []
+
+    def fused(one: Any, other: Any, rest: Any) -> Any:
+        made.append(1)
+        return plainly_fused(one, other, rest)
+
+    def function(c: Any, x: Any, y: Any) -> Any:
+        return (c * x + x * y) - ((c * c - y * y) - (x + 2.0)) - (y - c * (x * x))
+
+    counting = EXACT._replace(fused=fused)
+    jaxpr = jax.make_jaxpr(lambda *each: lean(function, counting, *each))(C, X, Y).jaxpr
+    kinds = Counter(equation.primitive.name for equation in jaxpr.eqns)
+    # Five products go into a sum of eight terms, one of them taking the first term with it; x² has to be there before.
+    assert len(made) == 5
+    assert kinds["mul"] == 5 + 1
+    assert kinds["add"] + kinds["sub"] == 7
+    check_same(function, C, X, Y)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_sums_stay_what_they_are(seed: int) -> None:
+    """With terms that something else needs too, or that are wanted themselves, and along a direction."""
+    random = np.random.default_rng(seed)
+    drawn = [(*random.integers(3 + i, size=2), random.integers(5)) for i in range(25)]
+
+    def function(*given: Any) -> Any:
+        there = list(given)
+        for i, j, kind in drawn:
+            one, other = there[i], there[j]
+            there.append([one * other, one * other, one + other, one - other, one + 0.5][kind])
+        return there[-6:]
+
+    def pushed_on(*given: Any) -> Any:
+        found, slopes = jax.jvp(function, given, given[::-1])
+        return [*found, *slopes]
+
+    wide = [each.astype(jnp.float64) for each in (C, X, Y)]
+    for found, wanted in zip(lean(pushed_on, EXACT, *wide, values=6), pushed_on(*wide), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
 
 
 def test_what_is_linearised_stays_what_it_is() -> None:
