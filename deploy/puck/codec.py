@@ -99,11 +99,7 @@ def position_counts(data: bytes) -> int | None:
 
 def encode_position(node: int, counts: int, joint_counts: int | None = None) -> Frame:
     """What a puck answers when it is asked for its position."""
-    values = (counts,) if joint_counts is None else (counts, joint_counts)
-    for value in values:
-        if not -LARGEST_POSITION <= value < LARGEST_POSITION:
-            raise ValueError(f"{value} counts do not fit into 22 bits")
-    data = b"".join((value & 0x3FFFFF).to_bytes(3, "big") for value in values)
+    data = _22_bits(counts) if joint_counts is None else _22_bits(counts) + _22_bits(joint_counts)
     return Frame(GROUPS["position"] | _node(node) << 5, data)
 
 
@@ -156,6 +152,12 @@ def _with_value(number: int, value: int, short: bool) -> bytes:
         return struct.pack("<BBh" if short else "<BBi", SET | _property(number), 0, value)
     except struct.error:
         raise ValueError(f"{value!r} is no integer of {16 if short else 32} bits") from None
+
+
+def _22_bits(counts: int) -> bytes:
+    if not -LARGEST_POSITION <= counts < LARGEST_POSITION:
+        raise ValueError(f"{counts} counts do not fit into 22 bits")
+    return (counts & 0x3FFFFF).to_bytes(3, "big")
 
 
 def _encode_triple(group: str, values: Sequence[float], per_unit: int, flags: int | None) -> Frame:

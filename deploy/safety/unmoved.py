@@ -14,6 +14,7 @@ not count: a reading that lies must not push a motor that nothing pushes.
 from collections.abc import Sequence
 
 from deploy.durations import cycles
+from deploy.runtime.straightline import compile_straightline
 from deploy.safety.force_estimate import FRICTION
 from deploy.safety.plausible import STUCK
 from jaxmpc.law.scalar import apply_transposed
@@ -30,6 +31,7 @@ tip and move within 25 ms, 1 and 4 may have to wait until it has left the tissue
 _NONE: Vector4 = (0.0, 0.0, 0.0, 0.0)
 _SIZES = tuple(tuple(map(abs, row)) for row in MOTOR_TO_JOINT)
 _FRICTION = apply_transposed(_SIZES, FRICTION)
+_of_motors = compile_straightline(lambda torque: apply_transposed(MOTOR_TO_JOINT, torque), (_NONE,)).function
 
 
 def unmoved(still: Sequence[int], disturbance: Vector4, read: Vector4 | None, withdrawing: int, T_s: float) -> int:
@@ -53,6 +55,5 @@ def unmoved(still: Sequence[int], disturbance: Vector4, read: Vector4 | None, wi
 
 def shares(disturbance: Vector4, read: Vector4 | None) -> tuple[float, ...]:
     """How much of what it bears without a motion pushes each motor (4,) [-]; the arguments are those of `unmoved`."""
-    pushed, tissue = (apply_transposed(MOTOR_TO_JOINT, each) for each in (disturbance, read or _NONE))
-    each = zip(pushed, tissue, _FRICTION, strict=True)
+    each = zip(_of_motors(disturbance), _of_motors(read or _NONE), _FRICTION, strict=True)
     return tuple(abs(torque) / (FRICTIONS * friction + abs(told)) for torque, told, friction in each)

@@ -1,7 +1,7 @@
 """The wire between twin and host: how long frames take on it, and those that faults lose, delay, double or add."""
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import count
 
 import numpy as np
@@ -11,6 +11,8 @@ from deploy.twin.faults import Fault, Links
 
 _FOREIGN = (0x600, 0x7F0)
 """Identifiers of a babbling node: none of the WAM's, and the lowest priority."""
+
+_ONE_AT_ONCE = (0.0,)
 
 
 class BusTiming:
@@ -29,9 +31,9 @@ class BusTiming:
         self._delayed: list[tuple[int, int, Frame]] = []
         self._order, self._free = count(), 0
 
-    def copies(self, targets: Sequence[str], now: float) -> list[float]:
+    def copies(self, targets: Sequence[str], now: float) -> Sequence[float]:
         """Delays of the copies of a frame that belongs to these targets [s], none if it is lost."""
-        return self._links.copies(targets, now) if self._links else [0.0]
+        return self._links.copies(targets, now) if self._links else _ONE_AT_ONCE
 
     def post(self, frame: Frame, at: int) -> None:
         """Send a frame to the host at a time [ns]."""
@@ -49,8 +51,11 @@ class BusTiming:
         """Have a frame of the host arrive at a time [ns]."""
         heapq.heappush(self._delayed, (at, next(self._order), frame))
 
-    def delayed(self, until: int) -> Iterator[tuple[int, Frame]]:
+    def delayed(self, until: int) -> Iterable[tuple[int, Frame]]:
         """Frames of the host that have arrived by a time, each with its own [ns]."""
+        return self._delayed_by(until) if self._delayed else ()
+
+    def _delayed_by(self, until: int) -> Iterator[tuple[int, Frame]]:
         while self._delayed and self._delayed[0][0] <= until:
             at, _, frame = heapq.heappop(self._delayed)
             yield at, frame
@@ -64,7 +69,8 @@ class BusTiming:
 
     def next(self) -> int | None:
         """Arrival of the next frame in either direction [ns], None if none is under way."""
-        return min((queue[0][0] for queue in (self._waiting, self._delayed) if queue), default=None)
+        coming = [queue[0][0] for queue in (self._waiting, self._delayed) if queue]
+        return min(coming) if coming else None
 
 
 class BabblingNode:

@@ -129,6 +129,8 @@ class LockstepBus(can.BusABC):
                 raise ValueError("nothing is under way on the twin's bus: give recv a time-out")
             if deadline is not None and now >= deadline:
                 return None
-            tick = self.clock.twin.now_ns + MILLISECOND
-            until = min(each for each in (tick, coming, deadline) if each is not None and each > now)
+            until = self.clock.twin.now_ns + MILLISECOND
+            for each in (coming, deadline):
+                if each is not None and now < each < until:
+                    until = each
             self.clock.wait_until(until)

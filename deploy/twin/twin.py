@@ -5,7 +5,7 @@ Positions and forces are those of the last whole millisecond, as on an arm that 
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,6 +27,7 @@ MILLISECOND = 1_000_000
 PUCK_ERROR = 2
 """ERROR of a puck with a fault (chosen here)."""
 _GRAVITY = np.array([0.0, 0.0, 9.805])
+_NO_MOMENT = codec.encode_moment((0.0, 0.0, 0.0))
 
 
 class Twin:
@@ -50,6 +51,8 @@ class Twin:
         self.pucks = tuple(Puck(node, self.settings) for node in codec.PUCKS)
         self.safety = SafetyModule(self.settings)
         self.sensor = ForceTorque(self.settings)
+        devices: tuple[Device, ...] = (*self.pucks, self.sensor, self.safety)
+        self._nodes = {device.node: device for device in devices}
         self._asked = self.sensor.number["FT"], self.sensor.number["A"]
         random = [np.random.default_rng([self.settings.seed, 2, i]) for i in range(7)]
         self._readings = Readings(self.pucks, self.sensor, self.faults, random[:5])
@@ -106,9 +109,10 @@ class Twin:
         until = self.now_ns if until_ns is None else until_ns
         self._obey_late(min(until, self.now_ns + MILLISECOND - 1))  # what comes with the next sample meets that one
         due = self._wire.take(until)
-        if self.bus_off:
-            due.clear()
-        self.counters["sent"] += len(due)
+        if due:
+            if self.bus_off:
+                due.clear()
+            self.counters["sent"] += len(due)
         return due
 
     def next_ns(self) -> int | None:
@@ -200,14 +204,14 @@ class Twin:
         else:
             self.counters["not understood"] += 1
 
-    def _addressed(self, to: int) -> Iterator[Device]:
+    def _addressed(self, to: int) -> Sequence[Device]:
         """The nodes that a host's identifier reaches and that listen."""
-        devices: tuple[Device, ...] = self.pucks
-        if not to & codec.GROUP:
-            devices = (*self.pucks, self.sensor, self.safety)
-        for device in devices:
-            if device.answers(self.now) and (device.node == to or (to & codec.GROUP and to & 0x1F in device.groups)):
-                yield device
+        now = self.now
+        if to & codec.GROUP:
+            group = to & 0x1F
+            return [puck for puck in self.pucks if group in puck.groups and puck.answers(now)]
+        device = self._nodes.get(to)
+        return (device,) if device is not None and device.answers(now) else ()
 
     def _answer(self, device: Device, number: int, at: int) -> None:
         if isinstance(device, Puck) and number == device.number["P"] and device.stat != RESET:
@@ -225,7 +229,7 @@ class Twin:
             if self._readings.force is not None:
                 force, flags = self.sensor.reading(self._readings.force, self.world.orientation)
                 self._reply(codec.encode_force(force, flags), at, "force")
-                self._reply(codec.encode_moment((0.0, 0.0, 0.0)), at, "force")
+                self._reply(_NO_MOMENT, at, "force")
         elif device is self.sensor and number == self._asked[1]:
             self._reply(codec.encode_acceleration(self.sensor.turned(_GRAVITY, self.world.orientation)), at, "force")
         elif (value := device.get(number)) is not None:
@@ -236,7 +240,7 @@ class Twin:
         copies = self._wire.copies(("frames", *targets), self.now)
         self.counters["lost"] += not copies
         for late in copies:
-            self._wire.post(frame, at + round(1e9 * late))
+            self._wire.post(frame, at + round(1e9 * late) if late else at)
 
     def _follow_safety(self) -> None:
         """Give pucks and sensor the mode and the power of the safety module."""

@@ -162,7 +162,10 @@ class TwinPhysics:
                 data.qfrc_applied[:] -= self._coupling @ data.qvel
             self._mujoco.mj_step2(self._model, data)
         self._instant += 1
-        self._settle()
+        if self._held:
+            self._beat()
+        else:
+            self._settle()
 
     def _settle(self) -> None:
         """Update what follows from the present angles and velocities and from the heart."""
@@ -170,6 +173,9 @@ class TwinPhysics:
         self._mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, self._site)
         self._q, self._qd = _four(self._data.qpos), _four(self._data.qvel)
         self._tip, self._speed = _three(self._at), _three(self._jacobian @ self._data.qvel)
+        self._beat()
+
+    def _beat(self) -> None:
         self._surface, self._rate = self._heart.at(self._instant)
 
     def _press(self, h: float) -> Vector3:

@@ -17,6 +17,9 @@ from deploy.twin.lockstep import LockstepClock
 from deploy.twin.scenario import twin_settings
 from deploy.twin.twin import Twin
 
+HELD = 0.1
+"""Time for which a run that is over holds the arm where nobody asks [s], longer than positions may be old."""
+
 
 @dataclass(frozen=True)
 class Flight:

@@ -1,18 +1,15 @@
 """Every state × every hazard × every signal, before and after arming: the run ends, soon, and says why."""
 
-from copy import copy
 from functools import cache
 from itertools import product
 from types import SimpleNamespace
 
 import pytest
 
-from deploy.controller.runtimes import arm_runtime, flown_controller
-from deploy.loop import loop, session
+from deploy.loop import loop
 from deploy.loop.control import Contacting
 from deploy.loop.loop import LETTING_GO, LINGER
 from deploy.loop.operator import Operator
-from deploy.safety.force_estimate import ForceEstimate
 from deploy.safety.machine import IDLE_PATIENCE, OperatingState
 from deploy.safety.reasons import Reason
 from deploy.twin.flight import started
@@ -20,7 +17,9 @@ from deploy.twin.lockstep import LockstepClock
 from deploy.twin.scenario import twin_settings
 from deploy.twin.twin import Twin
 from tests.deploy.made import arm_artifact
+from tests.twin.flying import HELD
 
+pytestmark = pytest.mark.usefixtures("held_briefly", "recorded_once")
 SOON = 1.0
 """Within which a reason is named [s]; the arm is then let go at once, or held or withdrawn for its known time."""
 CONTACTING = Contacting(retract_distance=0.003)
@@ -28,8 +27,6 @@ WITHDRAWN = 2 * CONTACTING.retract_distance / CONTACTING.retract_speed
 """Longest retraction [s]."""
 WAITS = 0.06
 """Time in IDLE before the operator arms [s]."""
-HELD = 0.1
-"""Time for which a run that is over holds the arm here [s], longer than positions may be old."""
 frozen = cache(arm_artifact)
 HAZARDS = (
     *("pendant:e-stop", "pendant:idle"),
@@ -52,26 +49,6 @@ class Watchdog:
 
     def answers(self, now):
         return self.there
-
-
-@cache
-def recorded():
-    """What every session would record again of the one controller: it takes longer than many of these flights."""
-    artifact = frozen()
-    return arm_runtime(artifact), ForceEstimate(artifact.arm, flown_controller(artifact)[0].measurement)
-
-
-def at_rest(artifact):
-    runtime = copy(recorded()[0])
-    runtime.start(artifact.arm.posture)
-    return runtime
-
-
-@pytest.fixture(autouse=True)
-def hold_briefly_and_record_once(monkeypatch):
-    monkeypatch.setattr(loop, "LINGER", HELD)
-    monkeypatch.setattr(session, "arm_runtime", at_rest)
-    monkeypatch.setattr(session, "ForceEstimate", lambda *model: copy(recorded()[1]))
 
 
 def fly(hazard="", at=None, signals=0, first="", duration=0.1):

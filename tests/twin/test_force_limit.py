@@ -11,6 +11,7 @@ from deploy.safety.reasons import Reason
 from deploy.twin.twin import Twin
 from jaxmpc.world.tissue import KINDS
 
+pytestmark = pytest.mark.usefixtures("recorded_once")
 LIMIT = 15.0
 """Of the frozen controllers [N]."""
 LYING = {
@@ -21,6 +22,13 @@ LYING = {
     "delayed": (("force:delayed=100",), -10.0),
     "delayed, positions lost": (("force:delayed=100", "positions:lost=0.02"), -10.0),
 }
+
+
+@pytest.fixture(autouse=True)
+def held_briefly_once_withdrawn(request):
+    """A run in which a late force ends in FAULT holds the tip where it is, and the heart comes back to it."""
+    if "delayed" not in request.node.name:
+        request.getfixturevalue("held_briefly")
 
 
 def flown(artifact, lie, tissue, stiffness, phase):

@@ -9,7 +9,7 @@ from deploy.safety.reasons import Reason
 from jaxmpc import Experiment, Params
 from jaxmpc.export.freezing import freeze_controller
 
-pytestmark = pytest.mark.oracle
+pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("held_briefly")]
 
 
 @pytest.fixture(scope="module")
