@@ -11,6 +11,7 @@ from deploy.safety.machine import OperatingState
 from deploy.safety.reasons import Reason
 from jaxmpc import Experiment, Params, evaluate, margins
 from jaxmpc.export.freezing import freeze_controller
+from jaxmpc.export.golden import read_in
 from jaxmpc.world.heart.motion import Motion
 from tests.twin.flying import fly
 
@@ -21,15 +22,21 @@ FILTERED = msgspec.structs.replace(
 """So slow a filter that it takes the text design's M_s from 1.67 to 2.39."""
 
 
+def evaluated_and_frozen(file, params, experiment):
+    """One simulation for both."""
+    outcome = evaluate(params, experiment, trace=True)
+    (run,) = read_in(experiment, outcome.trace._asdict())
+    return outcome, freeze_controller(file, params, experiment, {"M_s": 5.0}, ideal=False, run=run)
+
+
 @pytest.mark.oracle
 def test_a_frozen_force_filter_flies_as_it_is_simulated(tmp_path):
     params = Params.published("text")
-    frozen = freeze_controller(tmp_path / "c.npz", params, FILTERED, {"M_s": 5.0}, ideal=False)
+    simulated, frozen = evaluated_and_frozen(tmp_path / "c.npz", params, FILTERED)
     path = FILTERED.loop_path()
     assert frozen.gains.force_filter == path.force_filter
     assert (frozen.loop.velocity_cutoff, frozen.loop.sensor_cutoff) == (path.velocity_cutoff, path.sensor_cutoff)
 
-    simulated = evaluate(params, FILTERED)
     row = frozen.margins[0]
     assert row["M_s"] == pytest.approx(float(margins(params, 810.0, path=path).M_s), rel=1e-9)
     assert row["M_s"] == pytest.approx(float(simulated.margins.M_s[0]), rel=1e-9)
@@ -54,12 +61,11 @@ def test_a_controllers_own_filters_fly_as_the_experiments(tmp_path):
     theirs = msgspec.structs.replace(FILTERED, duration=4.0, settle=3.0, velocity_lowpass=320.0)
     ours = msgspec.structs.replace(theirs, velocity_lowpass=180.0, sensor=TABLE.sensor)
     own = replace(text, velocity_cutoff=320.0, force_cutoff=theirs.force_cutoff)
-    found, expected = evaluate(own, ours), evaluate(text, theirs)
+    found, first = evaluated_and_frozen(tmp_path / "own.npz", own, ours)
+    expected, other = evaluated_and_frozen(tmp_path / "other.npz", text, theirs)
     for name, values in found.metrics._asdict().items():
         np.testing.assert_allclose(values, getattr(expected.metrics, name), rtol=1e-7, err_msg=name)
 
-    first = freeze_controller(tmp_path / "own.npz", own, ours, {"M_s": 5.0}, ideal=False)
-    other = freeze_controller(tmp_path / "other.npz", text, theirs, {"M_s": 5.0}, ideal=False)
     assert first.loop == other.loop
     np.testing.assert_allclose(first.gains.force_filter, other.gains.force_filter, rtol=1e-12)
     np.testing.assert_allclose(first.golden_v, other.golden_v, atol=1e-7)

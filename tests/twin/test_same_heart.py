@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
+from deploy.controller.artifact import Artifact
+from deploy.controller.file import to_bytes
 from deploy.twin.flight import TwinFlight, fly
 from deploy.twin.scenario import twin_settings
 from jaxmpc import Experiment, Params, evaluate
-from jaxmpc.export.freezing import freeze_controller
 from jaxmpc.world.heart.motion import displacement
 
 pytestmark = pytest.mark.oracle
@@ -19,10 +20,10 @@ SECONDS, SETTLE = 16.0, 6.0
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> TwinFlight:
+def flight(cautious: Artifact, tmp_path_factory: pytest.TempPathFactory) -> TwinFlight:
     folder = tmp_path_factory.mktemp("flight")
     file: Path = folder / "controller.npz"
-    freeze_controller(file, Params.published("cautious"), TABLE, {"M_s": 2.0}, ideal=False)
+    file.write_bytes(to_bytes(cautious))
     settings = replace(twin_settings("table-1-wam", stiffness=810.0, gap=0.005, seed=1000), motion=TABLE.motion)
     return fly(file, settings, "0,0,-5@2", SECONDS, folder / "flight.npz")
 
