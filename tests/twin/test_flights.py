@@ -12,6 +12,7 @@ from jaxmpc.world.heart.motion import Motion
 from jaxmpc.world.tissue import KINDS
 from tests.twin.flying import fly
 
+pytestmark = pytest.mark.usefixtures("recorded_once")
 BEFORE = 0.012
 """Start above the tissue: the heart rises by 8 mm [m]."""
 FAULT_AT = 3.5
@@ -61,6 +62,7 @@ def test_a_hazard_ends_torque_within_two_cycles_for_good(plain, fault, reason, d
     assert flight.twin.safety.mode != 2 or fault.startswith("bus:off")
 
 
+@pytest.mark.usefixtures("held_briefly")
 @pytest.mark.oracle
 def test_a_lost_reply_now_and_then_is_bridged(text):
     lossy = fly(text, "positions:lost=0.001", seconds=12.0, motion=Motion(start=2.5), gap=BEFORE, seed=3)
@@ -109,6 +111,7 @@ def check_sensor_fault(artifact, word, **settings):
     assert flight.push() <= clean.push() + 0.5
 
 
+@pytest.mark.usefixtures("held_briefly")
 @pytest.mark.oracle
 @pytest.mark.parametrize("word", ["off", "stuck"])
 def test_a_dead_or_mad_force_sensor_ends_contact_gently(cautious, word):
@@ -165,12 +168,14 @@ def test_the_same_flight_twice_is_the_same(cautious):
     assert one.frames == other.frames
 
 
+@pytest.mark.usefixtures("held_briefly")
 def test_a_sensor_with_the_wrong_sign_from_the_start_shows_at_first_contact(cautious):
     flight = fly(cautious, "force:sign@0", stiffness=1900.0, seconds=3.0, gap=BEFORE)
     assert (flight.ended.safety_state.state, flight.reason) == (OperatingState.STOPPED, Reason.FORCE_MODEL)
     assert flight.peak() <= cautious.arm.limits.force
 
 
+@pytest.mark.usefixtures("held_briefly")
 @pytest.mark.oracle
 def test_nothing_is_met(cautious):
     flight = fly(cautious, seconds=1.0, gap=0.08)
