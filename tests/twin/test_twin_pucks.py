@@ -90,6 +90,14 @@ def test_positions_are_the_motors_angles():
     assert [frame.id for frame in _frames(twin)] == [0x423, 0x443, 0x463, 0x483]
 
 
+def test_a_group_reaches_those_who_are_in_it():
+    twin = Twin(TwinSettings(**QUIET))
+    assert ask(twin, 0x405, MOTOR["P"]) == []
+    twin.receive(codec.set_value(3, number("GRPC", "motor", 200), 5))
+    assert set(positions(twin)) == {1, 2, 4}
+    assert [reply.node for reply in ask(twin, 0x405, MOTOR["P"])] == [3]
+
+
 def _frames(twin):
     twin.receive(codec.get(0x404, MOTOR["P"]))
     return twin.take()
