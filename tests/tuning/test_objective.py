@@ -99,7 +99,7 @@ def test_programs_can_be_compiled_before_spectra_are_read_and_ratios_have_a_base
 
 @pytest.mark.oracle
 def test_an_engine_without_reverse_mode_gives_the_same_gradient(small: Job) -> None:
-    spec = TuneSpec.from_dict(small(experiment=QUIET, tune={"duration": 0.4, "settle": 0.1}))
+    spec = TuneSpec.from_dict(small(experiment=QUIET, tune={"duration": 0.4, "settle": 0.1}, goals=EFFORT))
     scanned = problem(spec)
     inside = scanned._replace(
         structure=scanned.structure._replace(world=scanned.structure.world._replace(engine="kernel"))
