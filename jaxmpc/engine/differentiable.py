@@ -32,7 +32,7 @@ class Program(NamedTuple):
     """And where something is."""
     interpret: bool
     wanted: tuple[bool, ...]
-    """Of which leaves that are left the slopes are, where something is differentiated; the others' are NaN."""
+    """Which leaves that are left have slopes where something is differentiated; the others' are NaN."""
 
 
 def episodes(program: Program, lane: Any, signals: Any) -> Any:

@@ -37,7 +37,7 @@ class Directions(NamedTuple):
     moving: tuple[bool, ...]
     """Which of their leaves move."""
     wanted: tuple[bool, ...]
-    """Of which leaves that are left tangents are."""
+    """Which leaves that are left have tangents, if they move."""
     layout: Layout
     """Where those lie."""
     arrays: tuple[Any, ...]
