@@ -20,7 +20,7 @@ import numpy as np
 
 NAMES = ("lam", "delta", "Q_p", "Q_x", "T_cl", "K2", "Khat_s", "R")
 SECONDS = {"linear": 10.0, "wam": 4.0}
-SHAPES = {"linear": ("64x1x1", "32x1x2"), "wam": ("256x8x1",)}
+SHAPES = {"linear": ("64x1x1", "32x1x4"), "wam": ("256x8x2",)}
 """With more directions a program the registers do not suffice."""
 
 

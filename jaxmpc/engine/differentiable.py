@@ -1,7 +1,8 @@
 """Episodes in a kernel, differentiable in forward mode by the constants of their lanes.
 
 `jax.jvp` runs one kernel that yields value and tangent. Under `jax.vmap` over directions alone, as `jax.jacfwd` has it,
-one kernel takes all of them, so many to a program (`Shape.directions`), beside one run that they share.
+one kernel takes all of them, so many to a program (`Shape.directions`), beside one run that they share; where slopes
+of little are wanted, a run of that alone.
 """
 
 from math import nan
@@ -14,9 +15,13 @@ from jax.custom_derivatives import SymbolicZero
 
 from jaxmpc.engine.episode import Episode
 from jaxmpc.engine.lane_ops import lane_ops
-from jaxmpc.engine.lanes import packed, recorded
+from jaxmpc.engine.lanes import Track, at_sample, packed, recorded
 from jaxmpc.engine.pallas_triton import NOWHERE, Directions, Shape, run_episodes
+from jaxmpc.engine.pruned import pruned
 from jaxmpc.engine.tangents import only
+
+FEW = 3
+"""Leaves that slopes are wanted of, so few that programs of several directions leave out what others are made of."""
 
 
 class Program(NamedTuple):
@@ -124,7 +129,26 @@ def _run(program: Program, lane: Any, signals: Any, moving: tuple[bool, ...], sl
         arrays = jax.vmap(lambda leaves: packed(leaves, shape, precision)[0])(wide)
         along = Directions(moving, program.wanted, own, tuple(map(jnp.ravel, arrays)), count + filled)
     ops = lane_ops(precision)
-    left, found = run_episodes(
-        program.episode, layout, track, ops, cut, constants, row, along, interpret=program.interpret
-    )
-    return left, [None if leaf is None else leaf[:count] for leaf in found]
+
+    def run(episode: Episode, cut: Shape, along: Directions) -> tuple[Any, list[Any]]:
+        left, found = run_episodes(episode, layout, track, ops, cut, constants, row, along, interpret=program.interpret)
+        return left, [None if leaf is None else leaf[:count] for leaf in found]
+
+    if cut.directions < 2 or sum(program.wanted) > FEW:
+        return run(program.episode, cut, along)
+    # What nobody differentiates comes from a run of its own, which the compiler leaves out if nobody looks at it.
+    wanted = program.wanted
+    episode = pruned(program.episode, wanted, *_of_one(program, lane, row, track), ops)
+    some, found = run(episode, cut, along._replace(wanted=(True,) * sum(wanted)))
+    leaves, tree = jax.tree.flatten(run(program.episode, program.alone, NOWHERE)[0])
+    for i, place in enumerate(place for place, each in enumerate(wanted) if each):
+        leaves[place] = some[i]
+    there = iter(found)
+    return jax.tree.unflatten(tree, leaves), [next(there) if each else None for each in wanted]
+
+
+def _of_one(program: Program, lane: Any, row: Any, track: Track) -> tuple[Any, Any]:
+    """Shapes of the constants of one lane, and of the signals of a sample."""
+    zero = jnp.zeros((), row.dtype)
+    one = jax.tree.map(lambda _: zero, lane)
+    return one, jax.eval_shape(lambda row: program.episode.taken_apart(at_sample(track, row, 0, 0)), row)

@@ -14,6 +14,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
+
+# See `jaxmpc.engine.web` of what JAX promises.
+from jax.extend.core import Literal
 
 from jaxmpc.engine import lane_ops
 from jaxmpc.engine.sums import regrouped
@@ -91,7 +95,10 @@ class _Values:
             return values[0][told]
         if name in ("inverse", "sqrt"):
             return (self.processor.root if name == "sqrt" else self.processor.reciprocal)(values[0])
-        return equation.primitive.bind(*values, **equation.params)
+        # What has turned out to be nothing is a number where there was one per lane.
+        shapes = [jnp.shape(var.val) if isinstance(var, Literal) else var.aval.shape for var in equation.invars]
+        alike = [jnp.broadcast_to(value, shape) for value, shape in zip(values, shapes, strict=True)]
+        return equation.primitive.bind(*alike, **equation.params)
 
     def _fused(self, name: str, operands: tuple[int, ...], product: int) -> Any:
         factor, other = self.web.nodes[product].operands

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxmpc import swing
 from jaxmpc.engine.base import CellResults, Engine, Mode, ProgramSpec, ScenarioData, scalars
-from jaxmpc.engine.differentiable import Program, episodes
+from jaxmpc.engine.differentiable import FEW, Program, episodes
 from jaxmpc.engine.episode import ArmEpisode, ArmFound, ArmLane, AxisEpisode, AxisFound, AxisLane, on_tissues
 from jaxmpc.engine.forward_dynamics import implicit
 from jaxmpc.engine.pallas_triton import Shape
@@ -25,9 +25,9 @@ ARM, AXIS = Shape(64, 2), Shape(64, 1, samples=5)
 """A program of the arm, and of the linear loop (measured)."""
 WARP = 32
 """Lanes that a multiprocessor cannot but run together."""
-ARM_ALONG, AXIS_ALONG = Shape(256, 8, 1), Shape(32, 1, 2, samples=5)
-"""The same of one that differentiates: on the arm two directions that share a run need too many registers, on the
-linear loop more than two (measured)."""
+ARM_ALONG, AXIS_ALONG = Shape(256, 8, 2), Shape(32, 1, 4, samples=5)
+"""The same of one that differentiates along so many directions if slopes of few things are wanted, else along half as
+many: more need too many registers (measured)."""
 
 
 class Kernel(Engine):
@@ -72,8 +72,9 @@ def _axes(spec: ProgramSpec, gains: Gains, contacts: Contact, data: ScenarioData
     )
     shape = len(signals.heart), *contact.T_s.shape
     sums, extremes, _ = _made_of(spec.slopes)
-    wanted = AxisFound(sums, extremes, diverged=True, over_limit=True)
-    sums, extremes, diverged, over_limit = _run(AxisEpisode(), lane, shape, signals, (AXIS, AXIS_ALONG), dtype, wanted)
+    wanted = AxisFound(sums, extremes, diverged=False, over_limit=False)
+    sums, extremes, *trouble = _run(AxisEpisode(), lane, shape, signals, (AXIS, AXIS_ALONG), dtype, wanted)
+    diverged, over_limit = jax.lax.stop_gradient(trouble)
     scored, late = _per_group(signals.score), _per_group(signals.late) if judged else None
     steps = signals.heart.shape[1]
     found = metrics(sums, extremes, scored, steps, late, no_joints(jnp.zeros_like(sums.error_squared)), ops)
@@ -96,7 +97,7 @@ def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: An
     shape = motions, jnp.shape(data.stiffness)[-1], *jnp.shape(K2)
     episode = ArmEpisode(ArmLoop(chain(), spec.robot, implicit))
     sums, extremes, joints = _made_of(spec.slopes)
-    wanted = ArmFound((sums,) * 3, (extremes,) * 3, joints, Trouble(*(True,) * len(Trouble._fields)))
+    wanted = ArmFound((sums,) * 3, (extremes,) * 3, joints, Trouble(*(False,) * len(Trouble._fields)))
     sums, extremes, joints, trouble = _run(episode, lane, shape, signals, (ARM, ARM_ALONG), dtype, wanted)
     scored, late = jnp.sum(signals.score, axis=1), _per_group(signals.late) if judged else None
     axes = zip(sums, extremes, jnp.moveaxis(scored, 1, 0)[..., None, None], strict=True)
@@ -106,7 +107,7 @@ def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: An
         return jnp.stack(jax.tree.map(jnp.transpose, fields), axis=-1).reshape(*shape[:0:-1], 3 * motions)
 
     found: Metrics = jax.tree.map(per_cell, *each)
-    diverged, over_limit, lost_contact, backed_off = map(jnp.transpose, trouble)
+    diverged, over_limit, lost_contact, backed_off = map(jnp.transpose, jax.lax.stop_gradient(trouble))
     return CellResults(found, diverged, over_limit, lost_contact, backed_off, None)
 
 
@@ -114,6 +115,8 @@ def _run(episode: Any, lane: Any, shape: Any, signals: Any, cut: tuple[Shape, Sh
     interpret = jax.default_backend() == "cpu"
     alone, along = (_as_wide_as_needed(one, shape[1] * shape[2]) for one in cut)
     slopes = tuple(jax.tree.leaves(wanted))
+    if sum(slopes) > FEW:
+        along = along._replace(directions=-(-along.directions // 2))
     return episodes(Program(episode, shape, jnp.dtype(dtype), alone, along, interpret, slopes), lane, signals)
 
 

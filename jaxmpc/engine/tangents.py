@@ -53,6 +53,16 @@ def movers(closed: Any, outputs: Sequence[bool]) -> Moves:
     return tuple(var in moving for var in jaxpr.invars)
 
 
+def sources(closed: Any, outputs: Sequence[bool]) -> Moves:
+    """Which inputs of a program some of its outputs are made of, by a choice alone too; arguments as for `movers`."""
+    jaxpr = closed.jaxpr
+    needed = {var for var, meant in zip(jaxpr.outvars, outputs, strict=True) if meant and not isinstance(var, Literal)}
+    for equation in reversed(jaxpr.eqns):
+        if needed.intersection(equation.outvars):
+            needed.update(var for var in equation.invars if not isinstance(var, Literal))
+    return tuple(var in needed for var in jaxpr.invars)
+
+
 def _numbers(places: Iterable[Any]) -> list[Any]:
     """Variables that are numbers with fractions."""
     return [var for var in places if not isinstance(var, Literal) and jnp.issubdtype(var.aval.dtype, jnp.floating)]
@@ -93,14 +103,14 @@ def movable(
     def earlier(moves: Moves) -> list[Moves]:
         return [movers(program, moves)[len(own) :][:size] for program in (stepping, folding)]
 
-    moves = _closed(moved(jax.make_jaxpr(begin)(lane), own), later)
+    moves = closed_under(later, moved(jax.make_jaxpr(begin)(lane), own))
     ends = tuple(map(all, zip(moved(ending, moves), wanted, strict=True)))
-    matters = _closed(movers(ending, ends), earlier)
+    matters = closed_under(earlier, movers(ending, ends))
     return tuple(map(all, zip(moves, matters, strict=True))), ends
 
 
-def _closed(moves: Moves, more: Callable[[Moves], list[Moves]]) -> Moves:
-    """What some leaves come to move, or are moved by, over any number of samples."""
+def closed_under(more: Callable[[Moves], list[Moves]], moves: Moves) -> Moves:
+    """What some leaves come to move, or are moved by, over any number of samples; `more` tells it of one."""
     while True:
         after = tuple(map(any, zip(moves, *more(moves), strict=True)))
         if after == moves:

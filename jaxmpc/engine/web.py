@@ -2,7 +2,7 @@
 
 Functions that are called are taken apart. A quotient is a product with a reciprocal, and of two choices by the same
 condition, between something and 1, that are divided by each other one is left. A whole power is a product, of
-reciprocals if it is negative.
+reciprocals if it is negative; a product with a written zero is nothing.
 """
 
 from collections import Counter
@@ -179,7 +179,7 @@ class Web:
             return self._power(operands[0], params["y"])
         if name in ("add", "add_any"):  # tangents are added by a name of their own
             return self._total(*operands)
-        if name == "sub" and self.equals(operands[1], 0.0):
+        if name in ("sub", "neg") and self.equals(operands[-1], 0.0):
             return operands[0]
         return self._at(name, tuple(operands))
 
@@ -198,9 +198,12 @@ class Web:
         return self._product(even, base) if exponent % 2 else even
 
     def _product(self, one: int, other: int) -> int:
-        if self.equals(one, 1.0):
-            return other
-        return one if self.equals(other, 1.0) else self._at("mul", (one, other))
+        for factor, rest in ((one, other), (other, one)):
+            if self.equals(factor, 1.0):
+                return rest
+            if self.equals(factor, 0.0):
+                return factor
+        return self._at("mul", (one, other))
 
     def _quotient(self, above: int, below: int) -> int:
         top, bottom = self.nodes[above], self.nodes[below]

@@ -169,6 +169,9 @@ def test_products_with_nothing_and_with_one_are_what_they_are() -> None:
     zero, one = jnp.zeros(7, jnp.float32), jnp.ones(7, jnp.float32)
     check_same(lambda c, x, y: (x * zero, zero * x, x * one, one * x, x * 0.0, y / one), C, X, Y)
     assert "mul" not in operations(lambda x: (x * 1.0, 1.0 * x), X)
+    # What is nothing is a number then, which a choice, an extreme and another product have to stand.
+    check_same(lambda c, x, y: (jnp.where(c > y, 0.0 * x, y), jnp.maximum(x * 0.0, y), c * -(0.0 * x)), C, X, Y)
+    assert set(operations(lambda x, y: x - y * (0.0 * x) * y, X, Y)) <= {"copy"}
 
 
 def test_slopes_of_the_extremes_are_those_of_what_they_take() -> None:

@@ -1,7 +1,7 @@
 """Tangents in the kernel, interpreted: the scan's, central differences', and one by one what they are side by side."""
 
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jaxmpc.engine import kernel
 from jaxmpc.engine.kernel import Kernel
 from jaxmpc.engine.lane_ops import lane_ops
 from jaxmpc.engine.pallas_triton import Shape
+from jaxmpc.engine.pruned import pruned
 from jaxmpc.engine.scan import Scan
 from jaxmpc.engine.scenario import program_spec, scenario_data
 from jaxmpc.engine.tangents import movable, moved, movers, pushed
@@ -88,7 +89,7 @@ def check(found: Any, wanted: Any, tolerance: float) -> None:
 @pytest.mark.oracle
 def test_slopes_of_the_linear_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """The scan's to rounding; central differences', whose own error is the step squared; three directions in twos."""
-    monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 2))
+    monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 4))
     loop = linear()
     found = loop.jacobian(Kernel())
     check(found, loop.jacobian(Scan()), 1e-10)
@@ -114,7 +115,7 @@ def test_slopes_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.oracle
 def test_slopes_of_the_linear_loop_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the step that a GPU takes, put together with fewer instructions."""
-    monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 3))
+    monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 6))
     check(Loop(LINEAR, "float32").jacobian(Kernel()), linear().jacobian(Scan()), 1e-4)
 
 
@@ -139,6 +140,64 @@ def test_slopes_that_are_wanted_are_those_of_all_and_others_are_no_number() -> N
             np.testing.assert_allclose(slope, other, rtol=0, atol=1e-9 * np.abs(other).max(), err_msg=name)
         else:
             assert np.isnan(slope).all() != (name in OF_JOINTS), name
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-9), ("float32", 1e-4)])
+def test_directions_of_little_share_a_run_of_it_alone(
+    monkeypatch: pytest.MonkeyPatch, dtype: str, tolerance: float
+) -> None:
+    """All else comes from another; three directions in twos."""
+    monkeypatch.setattr(kernel, "AXIS_ALONG", Shape(4, 1, 2))
+    loop = Loop(LINEAR, dtype)
+    spec = loop.spec._replace(slopes=("rms",))
+
+    def twice(z: Any) -> tuple[Any, Any]:
+        found = loop.metrics(Kernel(), z, spec)
+        return found, found
+
+    slopes, values = jax.jit(jax.jacfwd(twice, has_aux=True))(POINT)
+    wanted, plain = linear().program(Scan())(POINT)
+    check(values, plain, tolerance)
+    np.testing.assert_allclose(slopes.rms, wanted.rms, rtol=0, atol=tolerance * np.abs(wanted.rms).max())
+    assert np.isnan(slopes.chatter).all()
+
+
+def test_what_is_pruned_is_of_what_is_left() -> None:
+    """What is left, what moves it, what it is chosen by; no more."""
+
+    class Counting(NamedTuple):
+        def taken_apart(self, now: Any) -> Any:
+            return now
+
+        def begin(self, lane: Any, ops: Any) -> Any:
+            return {"chosen": 0.0 * lane, "other": lane, "state": lane, "total": lane}
+
+        def step(self, lane: Any, run: Any, now: Any, ops: Any) -> Any:
+            state = lane * run["state"] + now
+            chosen = jnp.where(state > 0.5, run["chosen"] + 1.0, run["chosen"])
+            return {"chosen": chosen, "other": run["other"] + now, "state": state, "total": run["total"]}, None
+
+        def fold(self, lane: Any, run: Any, ops: Any) -> Any:
+            return run | {"total": run["total"] + run["other"]}
+
+        def found(self, run: Any) -> Any:
+            return run["chosen"], run["total"], run["other"]
+
+    whole, one = Counting(), jnp.ones(())
+
+    def carried(*left: bool) -> Any:
+        return pruned(whole, left, one, one, ops).carried
+
+    # Leaves of what is carried come by their names: chosen, other, state, total.
+    assert carried(True, False, False) == (True, False, True, False)
+    assert carried(False, True, False) == (False, True, False, True)
+    assert carried(False, False, True) == (False, True, False, False)
+    only_chosen = pruned(whole, (True, False, False), one, one, ops)
+    run, expected = only_chosen.begin(one, ops), whole.begin(one, ops)
+    for now in (0.7, -2.0, 1.5):
+        run, expected = only_chosen.step(one, run, now, ops)[0], whole.step(one, expected, now, ops)[0]
+    assert only_chosen.found(only_chosen.fold(one, run, ops)) == (expected["chosen"],)
 
 
 def test_only_what_moves_and_matters_has_a_tangent() -> None:

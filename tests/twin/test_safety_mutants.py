@@ -67,6 +67,8 @@ EQUIVALENT = {
         "equal: int = 1 | 1 → 2": UNREACHED,
         "repeated: int = 0 | 0 → 1": "the first sample takes one away, and not below 0",
         "age: tuple[int, int, int, int] = (0, 0, 0, 0) | 0 → 1": UNREACHED,
+        "state: EncoderState, counts: Sequence[int | None], counts_per_turn: Sequence[int], T_s: float, "
+        "unmoved: int = -1 | 1 → 2": "no motor has that number either",
         "reach = int(6.0 / step) + 2 | 2 → 3": TAIL,
         "reach = int(6.0 / step) + 2 | 6.0 → 7.5": TAIL,
         "reach = int(6.0 / step) + 2 | 6.0 / step → 6.0 * step": TAIL,
