@@ -134,7 +134,7 @@ def _run(program: Program, lane: Any, signals: Any, moving: tuple[bool, ...], sl
         left, found = run_episodes(episode, layout, track, ops, cut, constants, row, along, interpret=program.interpret)
         return left, [None if leaf is None else leaf[:count] for leaf in found]
 
-    if cut.directions < 2 or sum(program.wanted) > FEW:
+    if cut.directions < 2 or not 0 < sum(program.wanted) <= FEW:
         return run(program.episode, cut, along)
     # What nobody differentiates comes from a run of its own, which the compiler leaves out if nobody looks at it.
     wanted = program.wanted

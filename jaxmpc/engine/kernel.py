@@ -71,8 +71,8 @@ def _axes(spec: ProgramSpec, gains: Gains, contacts: Contact, data: ScenarioData
         swing.high_pass(contact.T_s, ops) if judged else None,
     )
     shape = len(signals.heart), *contact.T_s.shape
-    sums, extremes, _ = _made_of(spec.slopes)
-    wanted = AxisFound(sums, extremes, diverged=False, over_limit=False)
+    of_sums, of_extremes, _ = _made_of(spec.slopes)
+    wanted = AxisFound(of_sums, of_extremes, diverged=False, over_limit=False)
     sums, extremes, *trouble = _run(AxisEpisode(), lane, shape, signals, (AXIS, AXIS_ALONG), dtype, wanted)
     diverged, over_limit = jax.lax.stop_gradient(trouble)
     scored, late = _per_group(signals.score), _per_group(signals.late) if judged else None
@@ -96,8 +96,8 @@ def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: An
     motions, steps = signals.time.shape
     shape = motions, jnp.shape(data.stiffness)[-1], *jnp.shape(K2)
     episode = ArmEpisode(ArmLoop(chain(), spec.robot, implicit))
-    sums, extremes, joints = _made_of(spec.slopes)
-    wanted = ArmFound((sums,) * 3, (extremes,) * 3, joints, Trouble(*(False,) * len(Trouble._fields)))
+    of_sums, of_extremes, of_joints = _made_of(spec.slopes)
+    wanted = ArmFound((of_sums,) * 3, (of_extremes,) * 3, of_joints, Trouble(*(False,) * len(Trouble._fields)))
     sums, extremes, joints, trouble = _run(episode, lane, shape, signals, (ARM, ARM_ALONG), dtype, wanted)
     scored, late = jnp.sum(signals.score, axis=1), _per_group(signals.late) if judged else None
     axes = zip(sums, extremes, jnp.moveaxis(scored, 1, 0)[..., None, None], strict=True)

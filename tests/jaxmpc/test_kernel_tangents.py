@@ -163,6 +163,14 @@ def test_directions_of_little_share_a_run_of_it_alone(
     assert np.isnan(slopes.chatter).all()
 
 
+def test_slopes_of_nothing_are_no_numbers_and_no_error() -> None:
+    """As where the overshoot is all that a tuner is asked for, which no run tells."""
+    loop = linear()
+    spec = loop.spec._replace(slopes=())
+    slopes = jax.eval_shape(jax.jacfwd(lambda z: loop.metrics(Kernel(), z, spec)), POINT)
+    assert slopes.rms.shape[-1] == 3
+
+
 def test_what_is_pruned_is_of_what_is_left() -> None:
     """What is left, what moves it, what it is chosen by; no more."""
 
