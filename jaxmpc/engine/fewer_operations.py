@@ -16,9 +16,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-# See `jaxmpc.engine.web` of what JAX promises.
-from jax.extend.core import Literal
-
 from jaxmpc.engine import lane_ops
 from jaxmpc.engine.sums import regrouped
 from jaxmpc.engine.web import SINES, Web
@@ -96,9 +93,9 @@ class _Values:
         if name in ("inverse", "sqrt"):
             return (self.processor.root if name == "sqrt" else self.processor.reciprocal)(values[0])
         # What has turned out to be nothing is a number where there was one per lane.
-        shapes = [jnp.shape(var.val) if isinstance(var, Literal) else var.aval.shape for var in equation.invars]
-        alike = [jnp.broadcast_to(value, shape) for value, shape in zip(values, shapes, strict=True)]
-        return equation.primitive.bind(*alike, **equation.params)
+        pairs = zip(values, equation.invars, strict=True)
+        wide = [value if jnp.shape(value) else jnp.broadcast_to(value, var.aval.shape) for value, var in pairs]
+        return equation.primitive.bind(*wide, **equation.params)
 
     def _fused(self, name: str, operands: tuple[int, ...], product: int) -> Any:
         factor, other = self.web.nodes[product].operands

@@ -53,7 +53,7 @@ class Pruned(NamedTuple):
 
 
 def pruned(episode: Episode, left: Sequence[bool], lane: Any, now: Any, ops: Ops) -> Pruned:
-    """Of an episode, what some leaves of what it leaves are made of.
+    """An episode with no more than what some leaves of what it leaves are made of.
 
     Args:
         episode: The whole one.
