@@ -7,10 +7,9 @@ from benchmarks.lying_sensor import fly
 from deploy.controller.artifact import Artifact
 from deploy.controller.file import load
 from deploy.safety.reasons import Reason
-from jaxmpc import Experiment, Margins, Params
-from jaxmpc.export import freezing
+from jaxmpc import Experiment, Params
+from jaxmpc.export.freezing import freeze_controller
 from jaxmpc.export.golden import ArmRun
-from jaxmpc.world.loop_path import LoopPath
 from tests.deploy import made
 
 pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("held_briefly")]
@@ -18,19 +17,12 @@ pytestmark = [pytest.mark.oracle, pytest.mark.usefixtures("held_briefly")]
 
 @pytest.fixture(scope="module")
 def family(tmp_path_factory: pytest.TempPathFactory) -> Artifact:
-    """Its margins with K̂ held are worked out by tests of tuning, and nobody asks here what its golden trace is of."""
-
-    def held(params: Params, stiffness: np.ndarray, ratios: np.ndarray, path: LoopPath) -> Margins:
-        one = np.ones((len(stiffness), len(ratios)))
-        return Margins(1.5 * one, 6.0 * one, 6.0 * one, 30.0 * one, 2e-3 * one, 0.9 * one, 0.0 * one)
-
+    """With its own margins, by which it may fly; nobody asks here what its golden trace is of."""
     file = tmp_path_factory.mktemp("family") / "controller.npz"
     params, experiment = Params.published("family"), Experiment.published("family-wam")
     q, force, wanted = map(np.array, made.recorded_inputs(100))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(freezing, "family_margins", held)
-        run = ArmRun(q, force, wanted[..., 0])
-        freezing.freeze_controller(file, params, experiment, {"M_s": 2.0}, ideal=False, run=run)
+    run = ArmRun(q, force, wanted[..., 0])
+    freeze_controller(file, params, experiment, {"M_s": 2.0}, ideal=False, run=run)
     return load(file)
 
 
