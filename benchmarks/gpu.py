@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 AXIS_INSTRUCTIONS, ARM_INSTRUCTIONS = 67, 1600
-LANES_OF_A_MULTIPROCESSOR = 128
+LANES_OF_A_MULTIPROCESSOR = {"float32": 128, "float64": 64}
 BATCH_OF_A_GPU = 131072
 SECONDS = {"linear": 10.0, "wam": 4.0, "mjx": 2.7}
 
@@ -56,6 +56,7 @@ def compared(quick: bool) -> list[dict[str, Any]]:
         ("linear", "kernel", "float64", (131072,)),
         ("linear", "scan", "float32", (131072, 16384)),
         ("wam", "kernel", "float32", (65536, 16384)),
+        ("wam", "kernel", "float64", (65536,)),
         ("wam", "scan", "float32", (65536, 16384)),
         ("mjx", "mjx", "float32", (8192, 2048, 32768, 65536)),
     ):
@@ -140,11 +141,11 @@ def measured(physics: str, engine: str, dtype: str, batch: int, devices: int = 1
         "devices": devices,
         "rate": rate,
         "first_s": times[0],
-        "share_of_peak": rate * instructions / (devices * peak()),
+        "share_of_peak": rate * instructions / (devices * peak(dtype)),
     }
 
 
-def peak() -> float:
+def peak(dtype: str) -> float:
     """Instructions that the first GPU could issue for its lanes [1/s]: multiprocessors × lanes × clock."""
     import subprocess
 
@@ -152,7 +153,7 @@ def peak() -> float:
 
     asked = ["nvidia-smi", "--query-gpu=clocks.max.sm", "--format=csv,noheader,nounits"]
     megahertz = float(subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split()[0])
-    return jax.devices()[0].core_count * LANES_OF_A_MULTIPROCESSOR * megahertz * 1e6
+    return jax.devices()[0].core_count * LANES_OF_A_MULTIPROCESSOR[dtype] * megahertz * 1e6
 
 
 if __name__ == "__main__":

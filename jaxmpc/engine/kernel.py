@@ -113,7 +113,8 @@ def _arm(spec: ProgramSpec, gains: Gains, K2: Any, data: ScenarioData, dtype: An
 
 def _run(episode: Any, lane: Any, shape: Any, signals: Any, cut: tuple[Shape, Shape], dtype: Any, wanted: Any) -> Any:
     interpret = jax.default_backend() == "cpu"
-    alone, along = (_as_wide_as_needed(one, shape[1] * shape[2]) for one in cut)
+    lanes = shape[1] * shape[2]
+    alone, along = (_as_wide_as_needed(_of_precision(one, dtype), lanes) for one in cut)
     slopes = tuple(jax.tree.leaves(wanted))
     if sum(slopes) > FEW:
         along = along._replace(directions=-(-along.directions // 2))
@@ -134,6 +135,11 @@ def _made_of(names: tuple[str, ...] | None) -> tuple[Sums, Extremes, JointTotals
         jax.tree.structure(gathered), movers(closed, (True,) * len(closed.out_avals))
     )
     return made
+
+
+def _of_precision(cut: Shape, dtype: Any) -> Shape:
+    """Programs with a thread for each lane in float64, whose numbers take two registers (measured)."""
+    return cut if jnp.dtype(dtype).itemsize == 4 else cut._replace(warps=max(cut.warps, cut.lanes // WARP))
 
 
 def _as_wide_as_needed(cut: Shape, lanes: int) -> Shape:

@@ -4,6 +4,7 @@ Each program of the grid keeps the state of `LANES` lanes in registers for all o
 sample and writes what is left at the end.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -85,8 +86,7 @@ def run_episodes(
     count, dtype = tissues * controllers, signals.dtype
     blocks = pallas.cdiv(count, cut.lanes)
     scalar: Any = jax.eval_shape(lambda: jnp.zeros(cut.lanes, dtype))
-    plain, real = Instructions(_exact, jnp.sqrt, plainly_fused), Instructions(_reciprocal, _root, _fused)
-    processor = plain if interpret else real
+    processor = _PLAIN if interpret else _INSTRUCTIONS[jnp.dtype(dtype)]
     parts = along.size // cut.directions if along.size else 1
     together = 1 if track.steps % cut.samples else cut.samples
 
@@ -133,9 +133,7 @@ def run_episodes(
                 return moved_on(lambda own, run: one(own, run, now), constant[0], constant[1], state)
 
             given = (own, own_slopes), state, now
-            if dtype == jnp.float32:
-                return _as_lanes(lean(following, processor, *given, values=len(jax.tree.leaves(state[0]))), scalar)
-            return _as_lanes(following(*given), scalar)
+            return _as_lanes(lean(following, processor, *given, values=len(jax.tree.leaves(state[0]))), scalar)
 
         def steps(i: Any, state: Any) -> Any:
             for j in range(together):
@@ -206,23 +204,31 @@ def _root(value: Any) -> Any:
     return jnp.sqrt(value) if jnp.ndim(value) == 0 else _instruction("sqrt.approx.ftz.f32", value)
 
 
-def _fused(one: Any, other: Any, rest: Any) -> Any:
+def _fused(dtype: Any, one: Any, other: Any, rest: Any) -> Any:
     """a·b + c in one instruction: JAX has no name for it, and this compiler joins no two by itself."""
     shape = jnp.broadcast_shapes(*map(jnp.shape, (one, other, rest)))
     if not shape:
         return plainly_fused(one, other, rest)
-    return _instruction(
-        "fma.rn.f32", *(jnp.broadcast_to(jnp.asarray(each, jnp.float32), shape) for each in (one, other, rest))
-    )
+    name = f"fma.rn.f{8 * jnp.dtype(dtype).itemsize}"
+    return _instruction(name, *(jnp.broadcast_to(jnp.asarray(each, dtype), shape) for each in (one, other, rest)))
 
 
 def _instruction(name: str, *values: Any) -> Any:
     places = ", ".join(f"${i}" for i in range(len(values) + 1))
+    register = "f" if name.endswith("f32") else "d"
     (found,) = triton.elementwise_inline_asm(
         f"{name} {places};",
         args=list(values),
-        constraints=",".join(["=f", *("f" for _ in values)]),
+        constraints=",".join([f"={register}", *(register for _ in values)]),
         pack=1,
         result_shape_dtypes=[jax.typeof(values[0])],
     )
     return found
+
+
+_PLAIN = Instructions(_exact, jnp.sqrt, plainly_fused)
+_INSTRUCTIONS = {
+    jnp.dtype(jnp.float32): Instructions(_reciprocal, _root, partial(_fused, jnp.float32)),
+    jnp.dtype(jnp.float64): Instructions(_exact, jnp.sqrt, partial(_fused, jnp.float64)),
+}
+"""In float64 there is none for a reciprocal or a root to the last bits."""

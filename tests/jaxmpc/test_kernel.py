@@ -1,5 +1,6 @@
 """The kernel, interpreted: the scan's numbers of every lane, however lanes are cut, packed and told apart."""
 
+import re
 from typing import Any
 
 import jax
@@ -84,6 +85,12 @@ def test_a_program_is_as_narrow_as_lets_fewer_lanes_idle(lanes: int, found: tupl
     assert kernel._as_wide_as_needed(Shape(32, 1, 2), lanes) == Shape(32, 1, 2), "a warp is the least"
 
 
+def test_a_thread_has_one_lane_in_float64() -> None:
+    assert kernel._of_precision(Shape(64, 1, samples=5), "float32") == Shape(64, 1, samples=5)
+    assert kernel._of_precision(Shape(64, 1, samples=5), "float64") == Shape(64, 2, samples=5)
+    assert kernel._of_precision(Shape(256, 8, 2), "float64") == Shape(256, 8, 2)
+
+
 def accesses(jaxpr: Any) -> int:
     """How often a program reads or writes several lanes of memory at once, in the kernels within it."""
     found = 0
@@ -104,17 +111,26 @@ def test_a_kernel_has_an_access_for_each_kind_of_constants_and_one_for_its_resul
 
 
 @pytest.mark.filterwarnings("ignore:The Pallas Triton backend is deprecated")
-def test_a_gpu_is_given_the_instructions_that_its_compiler_does_not_find(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("experiment", "dtype", "instructions"),
+    [
+        (ARM, "float32", ("fma.rn.f32", "rcp.approx.ftz.f32", "sqrt.approx.ftz.f32")),
+        (LINEAR, "float64", ("fma.rn.f64",)),
+        pytest.param(ARM, "float64", ("fma.rn.f64",), marks=pytest.mark.oracle),
+    ],
+)
+def test_a_gpu_is_given_the_instructions_that_its_compiler_does_not_find(
+    experiment: Experiment, dtype: str, instructions: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As the kernel is lowered for a GPU, of which there need be none."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     gpu = jax.sharding.AbstractDevice("NVIDIA H200", 132, "gpu")
-    spec, data = program_spec(ARM), scenario_data(ARM)
+    spec, data = program_spec(experiment), scenario_data(experiment)
     loops = closed(varied(Params(), K2=[10.0, 11.0]), data.stiffness, data.path)
-    run = jax.jit(lambda: Kernel().simulate(spec, loops.gains, loops.K2, loops.contacts, data, "float32").metrics.rms)
+    run = jax.jit(lambda: Kernel().simulate(spec, loops.gains, loops.K2, loops.contacts, data, dtype).metrics.rms)
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((1,), ("device",), abstract_device=gpu)):
         text = run.trace().lower(lowering_platforms=("cuda",)).as_text()
-    for instruction in ("fma.rn.f32", "rcp.approx.ftz.f32", "sqrt.approx.ftz.f32"):
-        assert instruction in text
+    assert set(re.findall(r"(?:fma|rcp|sqrt)\.[a-z.]+\d\d", text)) == set(instructions)
 
 
 def test_samples_come_from_the_scan() -> None:
