@@ -119,7 +119,7 @@ def test_slopes_of_the_linear_loop_in_float32(monkeypatch: pytest.MonkeyPatch) -
     check(Loop(LINEAR, "float32").jacobian(Kernel()), linear().jacobian(Scan()), 1e-4)
 
 
-@pytest.mark.oracle
+@pytest.mark.slow
 def test_slopes_of_the_arm_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     """Likewise, of near angles' sines too."""
     monkeypatch.setattr(kernel, "ARM_ALONG", Shape(4, 1, 1))

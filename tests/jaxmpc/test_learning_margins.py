@@ -90,6 +90,7 @@ def test_crossings_beside_a_resonance_are_found(beats: float, hertz: float) -> N
     assert float(found.gain_reduction_db[0, 0]) == pytest.approx(20.0 * np.log10(-outside), abs=1e-3)
 
 
+@pytest.mark.oracle
 def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
     known, _ = judged_where(FAMILY.listening, 7)
     found = family_margins(FAMILY, known, np.array([0.94, 1.06]), PATH, partial(spread_rates, count=25))
@@ -104,7 +105,7 @@ def test_the_published_family_keeps_its_margins_at_rates_between() -> None:
 @pytest.mark.parametrize(
     "family",
     [
-        pytest.param(learning(beats=5.0), id="slowly"),
+        pytest.param(learning(beats=5.0), id="slowly", marks=pytest.mark.oracle),
         pytest.param(FAMILY, id="published", marks=pytest.mark.oracle),
         pytest.param(learning(beats=1.0), id="in a beat", marks=pytest.mark.oracle),
         pytest.param(learning(harmonics=4), id="4 harmonics", marks=pytest.mark.slow),

@@ -94,6 +94,7 @@ def test_each_of_a_batch_has_its_own() -> None:
     same(jax.tree.map(lambda field: field[1], run.metrics), evaluate(both[1], PLAIN).metrics, 1e-9)
 
 
+@pytest.mark.oracle
 def test_an_evaluation_runs_the_loop_that_it_judges() -> None:
     found, expected = evaluate(OWN, PLAIN), evaluate(CAUTIOUS, OTHER)
     same((found.metrics, found.margins), (expected.metrics, expected.margins))

@@ -82,6 +82,7 @@ def test_three_modes_stand_for_the_arm(params: Params, K_s: float, factor: float
     assert float(found[0]) == pytest.approx(joints_peak(params, experiment, K_s, 1), rel=0.02)
 
 
+@pytest.mark.oracle
 def test_springs_cost_the_text_design_margin() -> None:
     stuck = presliding_frequencies(base())
     free, sticking = (float(presliding_peak(Params(), [1900.0], w)[0]) for w in (0.0 * stuck, stuck))

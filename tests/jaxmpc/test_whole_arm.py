@@ -102,6 +102,7 @@ def test_it_is_the_slope_of_one_sample() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-8)
 
 
+@pytest.mark.oracle
 def test_free_modes_are_those_of_masses_and_springs() -> None:
     """Links and motors under held torques: a part of the matrix in which no controller is."""
     given = experiment(viscous=(0.0,) * 4, cable_hz=30.0, cable_damping=0.0)
@@ -128,6 +129,7 @@ def test_free_modes_are_those_of_masses_and_springs() -> None:
     np.testing.assert_allclose(np.abs(eigenvalues), 1.0, atol=1e-6)  # two drift: defective at 1, the root of rounding
 
 
+@pytest.mark.oracle
 def test_a_tip_that_may_let_go_is_judged_as_one_that_holds() -> None:
     """At rest it touches without force, where what is not attached has half a slope or none."""
     holding = experiment()

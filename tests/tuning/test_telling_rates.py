@@ -32,7 +32,7 @@ def livelier() -> Params:
 @pytest.mark.parametrize(
     "family",
     [
-        pytest.param(FAMILY, id="published"),
+        pytest.param(FAMILY, id="published", marks=pytest.mark.oracle),
         pytest.param(livelier(), id="livelier", marks=pytest.mark.oracle),
         pytest.param(learning(beats=1.0), id="learns in a beat", marks=pytest.mark.oracle),
         pytest.param(learning(harmonics=5), id="5 harmonics", marks=pytest.mark.oracle),

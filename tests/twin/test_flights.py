@@ -28,7 +28,7 @@ def simulated():
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("stiffness", [375.0, 810.0, 1900.0])
+@pytest.mark.parametrize("stiffness", [375.0, pytest.param(810.0, marks=pytest.mark.slow), 1900.0])
 def test_table_1_is_that_of_the_simulator(text, simulated, stiffness):
     # As in the simulator the heart begins to move once the tip is on it.
     flight = fly(text, stiffness=stiffness, seconds=25.0, motion=Motion(start=3.5), gap=BEFORE)
