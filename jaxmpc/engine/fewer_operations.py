@@ -41,7 +41,7 @@ def lean(function: Callable[..., Any], processor: Instructions, *arguments: Any,
     """f(…) in fewer instructions; what is left has no slopes, so f takes those that are wanted itself.
 
     Args:
-        function: Traceable, of array leaves alone, with the functions of `lane_ops` for float32.
+        function: Traceable, of array leaves alone, with the functions of `lane_ops`.
         processor: What it does in one instruction.
         arguments: Its own.
         values: How many leaves of its result, from the first on, are values; the others are tangents. None: all.

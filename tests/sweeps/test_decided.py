@@ -74,6 +74,12 @@ def test_a_dry_run_says_that_rows_may_run_once_more(drawn: SweepSpec) -> None:
     assert "cannot decide" not in dry_run(exact, make_plan(exact), 2, measure=False)
 
 
+def test_a_dry_run_says_where_all_rows_may_as_well_run_in_float64(drawn: SweepSpec) -> None:
+    on_gpu = replace(drawn, engine="kernel")
+    for spec, said in ((drawn, False), (on_gpu, True), (replace(on_gpu, precision="float64"), False)):
+        assert ("takes no longer on a GPU" in dry_run(spec, make_plan(spec), 2, measure=False)) is said
+
+
 def test_it_resumes_and_has_one_hash(tmp_path: Path) -> None:
     sweep = {**DATA["sweep"], "rows": 24, "best": "peak_error", "constraints": {}}
     spec, folder = SweepSpec.from_dict({**DATA, "sweep": sweep}), tmp_path / "run"
