@@ -135,7 +135,9 @@ def test_goals_at_a_point_are_what_was_measured_there_with_slopes_that_are_centr
 @in_float64
 def test_the_searchs_programs_give_the_slopes_that_a_gradient_of_the_loss_gives(case: Case) -> None:
     """The proof compiles nothing. Of the loss it takes differences of numbers 1e4 times as large, hence 1e-8."""
-    over_starts.cache_clear()  # what another test has compiled would hide what this one does not
+    # What another test has compiled would hide what this one does not.
+    over_starts.cache_clear()
+    programs_of.cache_clear()
     measured, rows = Measured(case.z, case.measured.loss, case.factors), len(case.z)
     z, others = case.z[1], case.z[2:]
     for tissue in range(len(case.spec.experiment.stiffness)):
