@@ -31,6 +31,9 @@ def main() -> None:
     parser.add_argument("--physics", nargs="+", choices=list(SECONDS), default=list(SECONDS))
     parser.add_argument("--shapes", nargs="+", metavar="LANESxWARPSxDIRECTIONS", help="of the kernel with tangents")
     parser.add_argument("--controllers", type=int, nargs="+", help="how many, times three stiffnesses")
+    parser.add_argument(
+        "--all", action="store_true", dest="all_metrics", help="slopes of all metrics, not the RMS alone"
+    )
     parser.add_argument("--scan", action="store_true", help="the reverse mode through the scan too; few controllers")
     parser.add_argument("--check", action="store_true", help="the gradient against differences in float64 too")
     args = parser.parse_args()
@@ -42,7 +45,7 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     for physics in args.physics:
         for batch in args.controllers or (32768,):
-            rows += compared(physics, batch, args.shapes or SHAPES[physics], args.scan)
+            rows += compared(physics, batch, args.shapes or SHAPES[physics], args.scan, args.all_metrics)
         if args.check:
             checked(physics)
     if args.out:
@@ -51,7 +54,7 @@ def main() -> None:
         args.out.write_text(json.dumps(said, indent=1) + "\n")
 
 
-def compared(physics: str, batch: int, shapes: Any, with_scan: bool) -> list[dict[str, Any]]:
+def compared(physics: str, batch: int, shapes: Any, with_scan: bool, all_metrics: bool) -> list[dict[str, Any]]:
     """Rows of one world and batch size, each printed when it is there; what fails is told and left out."""
     import jax
     import msgspec
@@ -65,7 +68,7 @@ def compared(physics: str, batch: int, shapes: Any, with_scan: bool) -> list[dic
     short = msgspec.structs.replace(base, duration=SECONDS[physics], settle=1.0)
     experiment = with_physics(short, physics)
     whole, data = program_spec(experiment), scenario_data(experiment)
-    spec = whole._replace(slopes=("rms",))
+    spec = whole._replace(slopes=None if all_metrics else ("rms",))
     loops, along = controllers(batch, data)
 
     def rms(name: str, loops: Any) -> Any:

@@ -58,8 +58,12 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
         lines.append(f"  chunks      {chunks} of some seconds each")
     if spec.precision == "float32" and spec.goal.decide:
         lines.append(f"  float64     then once more what float32 cannot decide, {spec.goal.decide} rows at most")
-        if engine_of(plan) == "kernel" and experiment["physics"] == "linear":
-            lines.append('              precision = "float64" takes no longer on a GPU made for it, and leaves none')
+        # Stages may run there, too.
+        on_arm = spec.refine is not None or any(axis.name == "physics" for axis in plan.space.axes)
+        if engine_of(plan) == "kernel" and experiment["physics"] == "linear" and not on_arm:
+            lines.append(
+                '              precision = "float64" leaves none, and takes little longer on a GPU made for it'
+            )
     if spec.refine is not None:
         refined = "what stands above is of all rows on the spec's own experiment"
         lines.append(f"  refined by  {spec.refine.method}: {refined}")

@@ -338,17 +338,14 @@ def test_no_bit_of_a_trial_depends_on_who_else_is_tried(monkeypatch: pytest.Monk
 def test_the_kernel_runs_the_same_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a GPU runs, to rounding: robots, tissues and delays of their own on motions that several share."""
     monkeypatch.setattr(Kernel, "devices", ("cpu",))
-    # With its ramp: a step of 5 N throws all of them off, and what becomes of a loop then hangs on its last bits, as it
-    # does on one of these arms.
-    asked = Job((Params.published("cautious"),), Experiment.published("table-1-wam"), HARD)
+    # With the ramp, on arms that all last: what becomes of a loop that is thrown off hangs on its last bits.
+    asked = Job((Params.published("cautious"),), Experiment.published("table-1-wam"), HARD, seed=1)
     by_scan, by_kernel = (replace(asked, engine=engine) for engine in ("scan", "kernel"))
     scanned, found = (trials.run(each, BLOCK) for each in (by_scan, by_kernel))
     assert len(set(by_scan.trial(i).delay for i in range(BLOCK))) == 2
-    np.testing.assert_array_equal(found.status, scanned.status)
-    well = scanned.status[:, 0] == Status.OK
-    assert np.sum(well) == BLOCK - 1
+    assert np.all(scanned.status == Status.OK)
     for name, one, other in zip(Outcomes._fields, found, scanned, strict=True):
-        np.testing.assert_allclose(one[well], other[well], rtol=1e-9, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
 @pytest.mark.usefixtures("few")
