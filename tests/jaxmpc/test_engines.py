@@ -41,7 +41,7 @@ def test_what_the_scan_declares_it_can_differentiate() -> None:
     np.testing.assert_allclose(found, found[0], rtol=1e-6)
 
 
-@pytest.mark.oracle
+@pytest.mark.slow
 def test_stock_mjx_has_the_slopes_that_its_engine_declares() -> None:
     """In both modes through three samples, as the scan's loop takes them, against a central difference.
 

@@ -14,6 +14,8 @@ from sweeps.result import Result
 from sweeps.run import run
 from sweeps.spec import SweepSpec
 
+pytestmark = pytest.mark.once
+
 Finished = tuple[Path, Result]
 NO_COUNTS = (0, -1, 2.0, "2", None, True, np.nan, np.array([1]))
 NAN = float("nan")

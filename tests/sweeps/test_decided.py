@@ -24,6 +24,8 @@ from sweeps.spec import SweepSpec
 from sweeps.undecided import IN_FLOAT64, TOP, amplification
 from tests.sweeps.drawn_rows import DATA
 
+pytestmark = pytest.mark.once
+
 
 def test_a_sweep_that_ranks_wrongly_is_put_right(
     drawn: SweepSpec,

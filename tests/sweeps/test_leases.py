@@ -25,6 +25,8 @@ from sweeps.run import SweepStoppedError, run
 from sweeps.share import Share
 from sweeps.spec import SweepSpec
 
+pytestmark = pytest.mark.once
+
 Make = Callable[..., Leases]
 
 

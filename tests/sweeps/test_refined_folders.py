@@ -28,6 +28,8 @@ from sweeps.show.best_rows import chance, progress
 from sweeps.spec import SweepSpec
 from tests.sweeps.refined import DATA, STAGE, made
 
+pytestmark = pytest.mark.once
+
 OVER_MARGINS = """\
 [experiment]
 published = "table-1"

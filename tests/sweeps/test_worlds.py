@@ -26,6 +26,8 @@ from sweeps.spec import SweepSpec
 from sweeps.targets import UNITS, known_names, target
 from tests.sources import ROOT
 
+pytestmark = pytest.mark.once
+
 SHORT: dict[str, Any] = {
     "published": "table-1",
     "duration": 0.6,

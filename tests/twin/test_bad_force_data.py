@@ -8,6 +8,8 @@ from deploy.safety.reasons import Reason
 from deploy.twin.force_torque import ForceTorque
 from tests.twin.flying import fly
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture
 def saying(monkeypatch):

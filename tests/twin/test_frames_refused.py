@@ -16,6 +16,8 @@ from deploy.twin.scenario import motion_named
 from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 
+pytestmark = pytest.mark.once
+
 CONTACT = 2500
 """Cycle at which the force is held."""
 MS = 1_000_000

@@ -18,6 +18,8 @@ from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from tests.deploy.made import arm_artifact
 
+pytestmark = pytest.mark.once
+
 AT = 1200
 """The cycle in which it happens: in contact."""
 

@@ -19,6 +19,8 @@ from deploy.twin.settings import TwinSettings
 from deploy.twin.twin import Twin
 from deploy.twin.world import _raised
 
+pytestmark = pytest.mark.once
+
 GAP = 0.02
 MOVED, ACTIVATED, ENDED = 20, 2500, 3500
 """Cycles at which it is moved, within a second, activated, and let go."""

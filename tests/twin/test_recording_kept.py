@@ -14,6 +14,8 @@ from deploy.flight.recorder import read
 from deploy.loop.session import Session
 from jaxmpc.cli import main
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture
 def fly(plain, tmp_path, capsys, monkeypatch):

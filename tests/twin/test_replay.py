@@ -33,6 +33,8 @@ from jaxmpc.pictures.figures import figure
 from tests.deploy import made
 from tests.twin import flying
 
+pytestmark = pytest.mark.once
+
 NAMES = {"state": ["idle", "armed", "approach", "contact", "retract", "stopped", "fault"]}
 IDLE, APPROACH, CONTACT, RETRACT = 0, 2, 3, 4
 STIFFNESS = 80.0

@@ -25,6 +25,8 @@ from deploy.wam.startup import startup
 from jaxmpc.cli import main
 from tests.deploy.test_bus import Scripted, message
 
+pytestmark = pytest.mark.once
+
 P = 48
 INTERFACES = [
     pytest.param({"interface": "virtual", "channel": "wam"}, id="virtual"),

@@ -24,6 +24,8 @@ from jaxmpc.world.heart.motion import Motion, displacement
 from jaxmpc.world.joint_acceleration import accelerate
 from jaxmpc.world.tissue import KINDS
 
+pytestmark = pytest.mark.once
+
 FLOATS = SimpleNamespace(
     sin=math.sin,
     cos=math.cos,
