@@ -10,6 +10,7 @@ PYTEST = $(VENV)/bin/python -m pytest
 SIM = $(VENV)/.ready-sim
 DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
+OURS = jaxmpc tuning sweeps deploy
 
 .DEFAULT_GOAL := help
 .PHONY: help demo environment test test-and-oracles test-oracles test-slow planted-faults lint types robot-test oldest-test kernel-test bench docs pins clean
@@ -87,6 +88,7 @@ clean:  ## remove environments, caches and builds; results stay
 # A stamp inside each environment says that its packages are those of its pins.
 $(SIM): requirements.txt pyproject.toml
 	@$(call install,$(VENV),requirements.txt)
+	@-$(VENV)/bin/python -m compileall -qq -j 0 $(VENV)/lib $(OURS)
 	@touch $@
 
 $(DEV): requirements-dev.txt requirements.txt pyproject.toml
@@ -97,8 +99,8 @@ $(ROBOT): requirements-robot.txt pyproject.toml
 	@$(call install,$(ROBOT_VENV),requirements-robot.txt)
 	@touch $@
 
-# Two calls of pip, because it refuses an editable package where it demands hashes. Python compiles what is imported,
-# and sooner than pip all that is installed.
+# Two calls of pip, because it refuses an editable package where it demands hashes. It would compile on one core; tests
+# compile what they import, and for the demo, whose processes would each compile the same, all cores do.
 define install
 set -e; \
 if [ ! -x $(1)/bin/pip ]; then \
