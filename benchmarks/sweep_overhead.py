@@ -69,6 +69,7 @@ def job(rows: int, seconds: float) -> "SweepSpec":
             "params": {"published": "text"},
             "sweep": {
                 "kind": "random",
+                "precision": "float32",
                 "rows": rows,
                 "seed": 1,
                 "axes": {"lam": {"log": [0.01, 1.0]}, "T_cl": {"log": [0.001, 0.01]}, "Q_p": {"log": [0.1, 1.0]}},

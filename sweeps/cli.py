@@ -95,12 +95,14 @@ def _sweep(args: argparse.Namespace) -> int:
     from jaxmpc.files.toml import located
     from sweeps import store
     from sweeps.plan import check_chunk, describe, make_plan
+    from sweeps.precision import with_precision
     from sweeps.spec import SweepSpec
 
     spec = replace(SweepSpec.from_toml(args.what[0]), engine=args.engine)
     folder = args.out or Path("runs") / plain_name("the spec's name", spec.name)
     check_folder("-o", folder)
     with located(args.what[0]):
+        spec = with_precision(spec, folder)
         plan = make_plan(spec)
     if args.engine is not None:
         from sweeps import engines

@@ -56,14 +56,8 @@ def dry_run(spec: SweepSpec, plan: Plan, cores: int, *, measure: bool) -> str:
         chunks = max(1, round(took.rows / took.rate / CHUNK_SECONDS))
         lines.append(f"  time        {took.seconds:.0f} s from nothing: {parts} (from {took.like})")
         lines.append(f"  chunks      {chunks} of some seconds each")
-    if spec.precision == "float32" and spec.goal.decide:
+    if plan.canonical["precision"] == "float32" and spec.goal.decide:
         lines.append(f"  float64     then once more what float32 cannot decide, {spec.goal.decide} rows at most")
-        # Stages may run there, too.
-        on_arm = spec.refine is not None or any(axis.name == "physics" for axis in plan.space.axes)
-        if engine_of(plan) == "kernel" and experiment["physics"] == "linear" and not on_arm:
-            lines.append(
-                '              precision = "float64" leaves none, and takes little longer on a GPU made for it'
-            )
     if spec.refine is not None:
         refined = "what stands above is of all rows on the spec's own experiment"
         lines.append(f"  refined by  {spec.refine.method}: {refined}")

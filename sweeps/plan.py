@@ -159,7 +159,7 @@ class Plan:
 
 
 def make_plan(spec: SweepSpec) -> Plan:
-    """The plan of a spec.
+    """The plan of a spec; one that has no precision yet is planned in float32.
 
     Raises:
         InputError: A recording cannot be read, or the experiment leaves nothing to score.
@@ -187,7 +187,7 @@ def make_plan(spec: SweepSpec) -> Plan:
         "schema": SCHEMA,
         "experiment": experiment,
         "params": spec.params.to_dict(),
-        "precision": spec.precision,
+        "precision": spec.precision or "float32",
         "columns": list(spec.kept),
         "space": space,
     }

@@ -28,6 +28,7 @@ from sweeps.leases import SILENCE, Leases
 from sweeps.machine import environment
 from sweeps.pace import Pace
 from sweeps.plan import Columns, Plan, check_chunk, make_plan
+from sweeps.precision import with_precision
 from sweeps.result import Result
 from sweeps.share import Share, check_part
 from sweeps.spec import SweepSpec
@@ -86,7 +87,8 @@ def run(
         OSError: The folder cannot be written, or the disk is full.
     """
     check_type("spec", spec, SweepSpec, "Read one with SweepSpec.from_toml(FILE).")
-    folder, plan, started = Path(folder), make_plan(spec), threading.Event()
+    folder, started = Path(folder), threading.Event()
+    plan = make_plan(with_precision(spec, folder))
     chunk = None if chunk is None else check_chunk(plan, chunk)
     part = check_part(part)
     if not (isinstance(silence, int | float | np.number) and 0.0 < silence < math.inf):

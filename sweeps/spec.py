@@ -29,7 +29,7 @@ class SweepSpec:
         experiment: What the controllers meet.
         params: The base controller, which is also the baseline of the report.
         space: The swept parameters of both.
-        precision: Of the time stepping.
+        precision: Of the time stepping; None is as `sweeps.precision` finds.
         name: For people; no part of the spec's hash.
         goal: How rows are ranked; no part of the spec's hash.
         kept: Metrics and margins that are kept.
@@ -41,7 +41,7 @@ class SweepSpec:
     experiment: Experiment
     params: Params
     space: SweepSpace
-    precision: Precision = "float32"
+    precision: Precision | None = None
     name: str = "sweep"
     goal: SweepGoal = field(default_factory=SweepGoal)
     kept: tuple[str, ...] = tuple(MEASURED)
@@ -51,7 +51,7 @@ class SweepSpec:
 
     def __post_init__(self) -> None:
         for key, value, known in (("precision", self.precision, Precision), ("on_error", self.on_error, OnError)):
-            if value not in get_args(known):
+            if value is not None and value not in get_args(known):
                 raise InputError(f"sweep.{key}", value, "a known word", nearest(value, list(get_args(known))))
         for name in self.kept:
             if name not in MEASURED:

@@ -45,8 +45,9 @@ class SweepTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Size of a sample."""
     seed: Seed | None = None
     """Seed of a sample."""
-    precision: Precision = "float32"
-    """Precision of the time stepping; design and margins are always float64."""
+    precision: Precision | None = None
+    """Precision of the time stepping, of which None is as `sweeps.precision` finds; design and margins are always
+    float64."""
     stiffness_sets: dict[str, list[float]] = {}
     """Stiffness sets by name [N/m]."""
     columns: list[str] | None = None

@@ -20,6 +20,7 @@ from jaxmpc.files.sealed import digest
 from sweeps import store
 from sweeps.interrupt import gently
 from sweeps.plan import make_plan
+from sweeps.precision import with_precision
 from sweeps.rates import samples_of
 from sweeps.refine.proposal import around, survivors
 from sweeps.result import AROUND, FULL, RERUN, SCREEN, Result, merged, of_stages
@@ -56,9 +57,10 @@ def run(spec: SweepSpec, folder: str | Path, *, told: Told = lambda text: None, 
         InputError: The folder belongs to something else, or a stage could not be read again.
         OSError: The folder cannot be written, or the disk is full.
     """
+    folder = Path(folder)
+    spec = with_precision(spec, folder)
     assert spec.refine is not None
     _check_size(spec, spec.refine)
-    folder = Path(folder)
     store.prepare_refined(folder, *described(spec))
     if (finished := _finished(folder)) is not None:
         return finished

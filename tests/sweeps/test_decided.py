@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxmpc import Experiment
 from jaxmpc.quantities import METRICS
 from sweeps import crew
 from sweeps.compute import baseline
@@ -75,14 +74,6 @@ def test_a_dry_run_says_that_rows_may_run_once_more(drawn: SweepSpec) -> None:
     assert "what float32 cannot decide, 1000 rows at most" in dry_run(drawn, make_plan(drawn), 2, measure=False)
     exact = replace(drawn, precision="float64")
     assert "cannot decide" not in dry_run(exact, make_plan(exact), 2, measure=False)
-
-
-def test_a_dry_run_says_where_all_rows_may_as_well_run_in_float64(drawn: SweepSpec) -> None:
-    on_gpu = replace(drawn, engine="kernel")
-    on_arm = replace(on_gpu, experiment=Experiment.published("table-1-wam"))
-    exact = replace(on_gpu, precision="float64")
-    for spec, said in ((drawn, False), (on_gpu, True), (exact, False), (on_arm, False)):
-        assert ("takes little longer on a GPU" in dry_run(spec, make_plan(spec), 2, measure=False)) is said
 
 
 def test_it_resumes_and_has_one_hash(tmp_path: Path) -> None:

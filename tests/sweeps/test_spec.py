@@ -30,7 +30,7 @@ def test_overrides_reach_experiment_and_base(write_spec: Write, spec_text: str) 
     assert spec.experiment.stiffness == (375.0, 1900.0)
     assert spec.experiment.sensor.noise == 0.010
     assert (spec.params.disturbance_order, float(spec.params.K2), float(spec.params.Khat_s)) == (2, 20.0, 500.0)
-    assert spec.precision == "float32"
+    assert spec.precision is None
 
 
 def test_files_are_looked_for_beside_the_spec(write_spec: Write, spec_text: str, tmp_path: Path) -> None:
