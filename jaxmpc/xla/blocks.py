@@ -79,6 +79,7 @@ class OverDevices:
         spec: Any = PartitionSpec
         split, whole = spec("device"), spec()
         self._devices, self._everywhere = mesh.size, NamedSharding(mesh, whole)
+        self._there: dict[int, tuple[jax.Array, Any]] = {}
 
         def dealt(batch: Any, shared: Any) -> Callable[..., Any]:
             share = jax.tree.map(lambda leaf: leaf[: len(leaf) // self._devices], batch)
@@ -89,8 +90,20 @@ class OverDevices:
         self._dealt = JitShared(dealt)
 
     def everywhere(self, shared: Any) -> Any:
-        """What all rows share, on every device: worth it for what is shared by many calls."""
-        return jax.device_put(shared, self._everywhere)
+        """What all rows share, on every device; arrays of the call before are there already.
+
+        Many calls in a row share the same, and to have it looked at by JAX takes as long as a small program.
+        """
+        leaves, tree = jax.tree.flatten(shared)
+        there = self._there
+        new = [leaf for leaf in leaves if id(leaf) not in there]
+        put = iter(jax.device_put(new, self._everywhere))
+        placed = [there[id(leaf)][1] if id(leaf) in there else next(put) for leaf in leaves]
+        # With the arrays themselves, or another might have the place of one in memory; others than JAX's may change.
+        self._there = {
+            id(leaf): (leaf, at) for leaf, at in zip(leaves, placed, strict=True) if isinstance(leaf, jax.Array)
+        }
+        return jax.tree.unflatten(tree, placed)
 
     def compile(self, batch: Any, shared: Any) -> None:
         """Compile for arrays like these before there is anything to run with."""

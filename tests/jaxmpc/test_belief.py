@@ -12,6 +12,8 @@ from jaxmpc.law.belief import decide
 from jaxmpc.law.ops import FLOATS
 from jaxmpc.law.stiffness import Alarm, StiffnessEstimate, StiffnessIdentification, unknown
 
+pytestmark = pytest.mark.once
+
 T_s, BAND, STIFFNESS = 1e-3, 0.06, 810.0
 NOISE = 1e-2
 """Usual noise, far above the 1e-6 N² that is added to all [N²]."""

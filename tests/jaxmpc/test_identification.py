@@ -23,6 +23,8 @@ from jaxmpc.stability.loop import contact_of
 from jaxmpc.world.contact import Contact, ContactState, sense
 from jaxmpc.world.quantise import quantise
 
+pytestmark = pytest.mark.once
+
 FAMILY = Params.published("family")
 T_s = 1e-3
 EARLY, WIDTH = np.arange(12.0, 19.0, 1.58), 0.08

@@ -17,6 +17,8 @@ from jaxmpc.stability.held_beat import HeldBeat, spread_rates
 from jaxmpc.stability.loop import closed_loop_matrix, contact_of
 from jaxmpc.stability.response import loop_response
 
+pytestmark = pytest.mark.once
+
 FAMILY = Params.published("family")
 RATES = 12
 PATH = Experiment.published("family-wam").loop_path()

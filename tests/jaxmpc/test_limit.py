@@ -31,6 +31,8 @@ from jaxmpc.stability.response import closed_around
 from jaxmpc.world.contact import hertz
 from jaxmpc.world.loop_path import loop_path
 
+pytestmark = pytest.mark.once
+
 T_S = 1e-3
 FREE = Demands(M_s=1e3, chatter=np.inf)
 """No bound at all."""

@@ -15,6 +15,8 @@ from jaxmpc.stability.response import loop_response
 from jaxmpc.world.loop_path import loop_path
 from tests.jaxmpc.judged_loops import SENSOR, T_S, cut_margins, radius
 
+pytestmark = pytest.mark.once
+
 NARROW = [
     (Params(Khat_s=986, K2=11.1, Q_p=0.011, lam=0.003, Hp=47, Hu=16, T_cl=0.88e-3), 734.0),
     (Params(Khat_s=1830, K2=38.3, Q_p=0.213, Q_x=0.0077, lam=0.0023, Hp=13, Hu=3, T_cl=3.3e-3), 375.0),

@@ -54,6 +54,8 @@ from tests.jaxmpc.linear_loop import (
     world,
 )
 
+pytestmark = pytest.mark.once
+
 FLOATS = SimpleNamespace(sqrt=math.sqrt, sin=math.sin, cos=math.cos)
 FAST = Params(K2=100.0, T_cl=2e-4, Khat_s=970.0, Q_p=10.0)
 THREE = Params.stack([TEXT, DAMPED, FAST])

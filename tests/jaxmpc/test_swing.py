@@ -17,6 +17,8 @@ from jaxmpc.law.transmission import N1
 from jaxmpc.world.heart.motion import Motion
 from tests.jaxmpc.linear_loop import TEXT, step_by_step, world
 
+pytestmark = pytest.mark.once
+
 replace = msgspec.structs.replace
 SECTIONS = scipy.signal.butter(4, swing.CORNER_HZ, "highpass", fs=1000.0, output="sos")
 

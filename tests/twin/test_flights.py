@@ -12,7 +12,7 @@ from jaxmpc.world.heart.motion import Motion
 from jaxmpc.world.tissue import KINDS
 from tests.twin.flying import fly
 
-pytestmark = pytest.mark.usefixtures("recorded_once")
+pytestmark = [pytest.mark.usefixtures("recorded_once"), pytest.mark.once]
 BEFORE = 0.012
 """Start above the tissue: the heart rises by 8 mm [m]."""
 FAULT_AT = 3.5
