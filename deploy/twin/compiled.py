@@ -1,10 +1,10 @@
 """The simulator's sources that the twin runs each millisecond, recorded once as straight-line functions."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from deploy.runtime.straightline import OPS, compile_straightline
-from deploy.twin.settings import TwinSettings
 from jaxmpc.law.scalar import apply, apply_transposed
 from jaxmpc.law.transmission import JOINT_TO_MOTOR, MOTOR_TO_JOINT
 from jaxmpc.law.vectors import Vector4
@@ -20,7 +20,7 @@ joint_torques = compile_straightline(lambda torque: apply_transposed(JOINT_TO_MO
 """Joint torques from motor torques."""
 
 
-def friction_step(settings: TwinSettings, h: float) -> Callable[[Vector4, Vector4], Any]:
+@cache
+def friction_step(joints: friction.Friction, h: float) -> Callable[[Vector4, Vector4], Any]:
     """`jaxmpc.world.friction.step` over h [s] as a function of deflections [-] and joint velocities [rad/s]."""
-    joints = friction.Friction(settings.coulomb, settings.presliding)
     return compile_straightline(lambda s, v: friction.step(joints, s, v, h, OPS), (_FOUR, _FOUR)).function

@@ -10,6 +10,7 @@ Until the first torque acts, somebody holds the arm.
 """
 
 from collections import deque
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,7 +75,7 @@ class TwinPhysics:
         self._braked: tuple[bool, ...] = ()
         self._coupling, self._coupled = np.zeros((4, 4)), False
         self._low, self._high = (tuple(row) for row in self._model.jnt_range.T.tolist())
-        self._rub = friction_step(settings, self._h)
+        self._rub = friction_step(friction.Friction(settings.coulomb, settings.presliding), self._h)
         self._heart = TwinHeart(settings.motion, self._h)
         self._contact = TwinContact(settings, _three(tip_at(settings.posture)))
         self.posture = _raised(settings.posture, settings.gap)
@@ -204,6 +205,7 @@ def _model(settings: TwinSettings) -> Any:
     return compiled
 
 
+@cache  # flights of one controller begin alike
 def _raised(posture: Vector4, gap: float) -> Vector4:
     """The nearest joint angles with the tip so much higher [rad], by Gauss and Newton."""
     from jaxmpc.law.chain import pose, tip
