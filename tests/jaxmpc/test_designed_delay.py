@@ -20,6 +20,8 @@ from jaxmpc.synthesis.plant import contact_model
 from jaxmpc.world.loop_path import loop_path
 from jaxmpc.xla import ops
 
+pytestmark = pytest.mark.once
+
 T_S = 1e-3
 TWO = Params(designed_delay=2)
 ONE = Params()

@@ -25,6 +25,8 @@ from jaxmpc.synthesis.learning import repetition as constants_of
 from jaxmpc.world.arrays import ARRAYS
 from jaxmpc.world.heart.motion import Motion, prepared
 
+pytestmark = pytest.mark.once
+
 T_s = 1e-3
 FAMILY = Params.published("family")
 LEARNING: Any = jax.tree.map(float, constants_of(8, 2.5, T_s))

@@ -26,6 +26,8 @@ from sweeps.result import Result
 from sweeps.run import run
 from sweeps.spec import SweepSpec
 
+pytestmark = pytest.mark.once
+
 ROWS = 120
 Finished = tuple[Path, Result]
 
