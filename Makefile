@@ -10,7 +10,6 @@ PYTEST = $(VENV)/bin/python -m pytest
 SIM = $(VENV)/.ready-sim
 DEV = $(VENV)/.ready-dev
 ROBOT = $(ROBOT_VENV)/.ready-robot
-OURS = jaxmpc tuning sweeps deploy
 
 .DEFAULT_GOAL := help
 .PHONY: help demo environment test test-and-oracles test-oracles test-slow planted-faults lint types robot-test oldest-test kernel-test bench docs pins clean
@@ -88,7 +87,7 @@ clean:  ## remove environments, caches and builds; results stay
 # A stamp inside each environment says that its packages are those of its pins.
 $(SIM): requirements.txt pyproject.toml
 	@$(call install,$(VENV),requirements.txt)
-	@-$(VENV)/bin/python -m compileall -qq -j 0 $(VENV)/lib $(OURS)
+	@-$(VENV)/bin/python -m compileall -qq -j 0 $(VENV)/lib jaxmpc tuning sweeps deploy
 	@touch $@
 
 $(DEV): requirements-dev.txt requirements.txt pyproject.toml

@@ -14,13 +14,12 @@ from sweeps.spec import SweepSpec
 from sweeps.tables import Precision
 
 HALF_RATE = frozenset({"6.0", "7.0", "8.0", "9.0", "10.0"})
-"""Compute capabilities of NVIDIA's GPUs that do half as much in float64 as in float32 (CUDA C++ Programming Guide,
-"Throughput of Native Arithmetic Instructions"); all others do a thirty-second or a sixty-fourth."""
-
-
+"""Compute capabilities of NVIDIA's GPUs for servers, P100 to B200, that do half as much in float64 as in float32
+(CUDA C++ Programming Guide, "Throughput of Native Arithmetic Instructions"); most others do a thirty-second or less."""
 MOST = {("linear", False): 3e11, ("linear", True): 3e10, ("wam", False): 1e10, ("wam", True): 3e9}
-"""Samples of the loop for which float64 takes some three seconds longer than float32 with its rows that run once more
-(H200), by physics and whether gains are scheduled."""
+"""Samples of the loop for which float64 takes some three seconds longer than float32 with its rows that run once more,
+by physics and whether gains are scheduled: whole commands on an H200, compiled; of the linear loop's 3e11, where a
+quarter took 0.3 s longer, by the kernel's rates."""
 
 
 def with_precision(spec: SweepSpec, folder: Path) -> SweepSpec:

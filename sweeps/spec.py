@@ -50,8 +50,9 @@ class SweepSpec:
     engine: str | None = None
 
     def __post_init__(self) -> None:
-        for key, value, known in (("precision", self.precision, Precision), ("on_error", self.on_error, OnError)):
-            if value is not None and value not in get_args(known):
+        given = {} if self.precision is None else {"precision": (self.precision, Precision)}
+        for key, (value, known) in {**given, "on_error": (self.on_error, OnError)}.items():
+            if value not in get_args(known):
                 raise InputError(f"sweep.{key}", value, "a known word", nearest(value, list(get_args(known))))
         for name in self.kept:
             if name not in MEASURED:

@@ -27,8 +27,6 @@ from jaxmpc.synthesis import _design
 from jaxmpc.synthesis.force_filter import cutoff_of, force_filter
 from jaxmpc.synthesis.params import by_structure
 
-pytestmark = pytest.mark.once
-
 TISSUES = (375.0, 810.0, 1900.0)
 QUIET: dict[str, Any] = {
     "damping": "sampled",

@@ -16,8 +16,6 @@ from jaxmpc.xla import store
 from jaxmpc.xla.once import JitOnce
 from tests.jaxmpc.short_table import experiment_file
 
-pytestmark = pytest.mark.once
-
 
 @contextmanager
 def compilations() -> Iterator[list[str]]:

@@ -130,6 +130,7 @@ def test_rows_that_are_asked_for_are_there(spec: SweepSpec, rows: Any) -> None:
     ("key", "change"),
     [
         ("sweep.precision", lambda spec: replace(spec, precision="float16")),
+        ("sweep.on_error", lambda spec: replace(spec, on_error=None)),
         ("sweep.on_error", lambda spec: replace(spec, on_error="go on")),
         ("sweep.columns", lambda spec: replace(spec, kept=("rms", "M_s", "foo"))),
         ("sweep.columns", lambda spec: replace(spec, kept=("rms",))),

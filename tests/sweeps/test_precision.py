@@ -13,6 +13,8 @@ from sweeps import store
 from sweeps.plan import make_plan
 from sweeps.precision import with_precision
 from sweeps.refine.run import described
+from sweeps.refine.run import run as refined
+from sweeps.run import run as plain
 from sweeps.spec import SweepSpec
 from sweeps.tables import Precision
 from tests.sweeps.drawn_rows import DATA
@@ -91,7 +93,7 @@ def test_where_physics_are_swept_it_is_that_of_the_arm(
     assert found(spec, tmp_path) == expected
 
 
-@pytest.mark.parametrize(("begun", "goes_on"), [("float64", "9.9"), ("float32", SERVER)])
+@pytest.mark.parametrize(("begun", "goes_on"), [("float64", GAMES), ("float32", SERVER)])
 @pytest.mark.parametrize("refine", [None, FRONT])
 def test_whoever_goes_on_computes_as_the_folder_was_begun(
     tmp_path: Path, computes: Any, begun: Precision, goes_on: str, refine: dict[str, Any] | None
@@ -115,6 +117,18 @@ def test_a_dry_run_tells_it_and_a_folder_is_gone_on_with(tmp_path: Path, capsys:
     for folder, told in (("run", "float64"), ("other", "float32")):
         assert main(["sweep", str(spec), "-o", str(tmp_path / folder), "--dry-run"]) == 0
         assert f", {told}\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("refine", [None, FRONT])
+def test_a_run_that_goes_on_is_in_it(tmp_path: Path, refine: dict[str, Any] | None) -> None:
+    tables: dict[str, Any] = {"sweep": {"rows": 4, "axes": {"lam": {"log": [0.05, 0.1]}}}}
+    if refine is not None:
+        tables["refine"] = refine
+    spec = made(**tables)
+    exact, run = replace(spec, precision="float64"), refined if refine else plain
+    begun = run(exact, tmp_path / "run")
+    assert begun["rms"].dtype == "float64"
+    assert run(spec, tmp_path / "run").hash == begun.hash
 
 
 @pytest.mark.parametrize("content", ["", "[]", '{"spec": 3}', '{"spec": {"precision": ["float64"]}}'])
