@@ -79,6 +79,8 @@ class OverDevices:
         spec: Any = PartitionSpec
         split, whole = spec("device"), spec()
         self._devices, self._everywhere = mesh.size, NamedSharding(mesh, whole)
+        # Named, or what is left on the devices would go into another program than rows of numpy.
+        places = NamedSharding(mesh, split), self._everywhere
         self._there: dict[int, tuple[jax.Array, Any]] = {}
 
         def dealt(batch: Any, shared: Any) -> Callable[..., Any]:
@@ -87,7 +89,7 @@ class OverDevices:
             specs = {"in_specs": (split, whole), "out_specs": split}
             return jax.shard_map(run, mesh=mesh, check_vma=False, **specs)
 
-        self._dealt = JitShared(dealt)
+        self._dealt = JitShared(dealt, in_shardings=places)
 
     def everywhere(self, shared: Any) -> Any:
         """What all rows share, on every device; arrays of the call before are there already.
@@ -109,11 +111,22 @@ class OverDevices:
         """Compile for arrays like these before there is anything to run with."""
         self._dealt.compile(padded(batch, self._devices), self.everywhere(shared))
 
+    def launched(self, batch: Any, shared: Any, left: Any = None) -> Any:
+        """The result as it is on the devices, which go on working at it; of a batch that was filled up, all rows.
+
+        Args:
+            batch: The rows.
+            shared: What all share.
+            left: What such a call has left on the devices of the same rows, for which nothing is waited: the last part
+                of the batch. None is nothing.
+        """
+        rows = padded(batch, self._devices)
+        return self._dealt(rows if left is None else (*rows, left), self.everywhere(shared))
+
     def begin(self, batch: Any, shared: Any) -> Callable[[], Any]:
         """Have the devices begin; what is returned waits for them, and gives the result as numpy."""
-        rows = len(jax.tree.leaves(batch)[0])
-        found = self._dealt(padded(batch, self._devices), self.everywhere(shared))
-        return lambda: jax.tree.map(lambda leaf: np.asarray(leaf)[:rows], found)
+        found = self.launched(batch, shared)
+        return lambda: fetched(found, len(jax.tree.leaves(batch)[0]))
 
     def __call__(self, batch: Any, shared: Any) -> Any:
         """What the function returns for every row, as numpy."""
@@ -134,3 +147,8 @@ def padded(batch: Any, multiple: int) -> Any:
         return np.concatenate([leaf, np.repeat(leaf[-1:], missing, axis=0)])
 
     return jax.tree.map(fill, batch)
+
+
+def fetched(found: Any, rows: int) -> Any:
+    """So many rows of what is on the devices, as numpy: all of it is sent for before any is waited for."""
+    return jax.tree.map(lambda leaf: leaf[:rows], jax.device_get(found))

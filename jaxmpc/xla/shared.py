@@ -13,9 +13,14 @@ import jax
 class JitShared:
     """`jax.jit` for several threads, which may be compiled before there is anything to run it with."""
 
-    def __init__(self, made: Callable[..., Callable[..., Any]]) -> None:
-        """Wrap what makes a traceable function of arrays like those that it is given; it is asked once a kind."""
-        self._made = made
+    def __init__(self, made: Callable[..., Callable[..., Any]], in_shardings: Any = None) -> None:
+        """Wrap what makes a traceable function of arrays like those that it is given; it is asked once a kind.
+
+        Args:
+            made: That.
+            in_shardings: Where arguments are, as in `jax.jit`; None is wherever they come from.
+        """
+        self._made, self._places = made, {} if in_shardings is None else {"in_shardings": in_shardings}
         self._compiled: dict[Hashable, Any] = {}
         self._locks: dict[Hashable, Lock] = {}
 
@@ -29,9 +34,9 @@ class JitShared:
         if kind not in self._compiled:
             with self._locks.setdefault(kind, Lock()):
                 if kind not in self._compiled:
-                    jitted: Any = jax.jit(self._made(*args))
-                    jitted.lower(*args).compile()
-                    self._compiled[kind] = jitted
+                    jitted: Any = jax.jit(self._made(*args), **self._places)
+                    # Itself: `jax.jit` would compile once more for what another program has left on the devices.
+                    self._compiled[kind] = jitted.lower(*args).compile()
         compiled: Callable[..., Any] = self._compiled[kind]
         return compiled
 
@@ -42,6 +47,10 @@ class JitShared:
 
 
 def kind_of(arguments: Any) -> Hashable:
-    """What tells arguments apart for which different programs are compiled: structure, shapes and types."""
+    """What tells arguments apart for which different programs are compiled: structure, shapes and types.
+
+    Not where they are: of an array that is on the devices `jax.typeof` tells that, too.
+    """
     leaves, tree = jax.tree.flatten(arguments)
-    return tree, tuple(map(jax.typeof, leaves))
+    types = map(jax.typeof, leaves)
+    return tree, tuple((each.shape, each.dtype, each.weak_type) for each in types)

@@ -18,7 +18,7 @@ from jaxmpc.files.errors import InputError
 from jaxmpc.loop.linear import HIGHEST_FORCE
 from jaxmpc.metrics import Metrics
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of, stacked
-from jaxmpc.xla.blocks import OverDevices
+from jaxmpc.xla.blocks import OverDevices, fetched
 from tuning.job.goals import OVERSHOOT, RATIO, RUN_GOALS, run_goals
 from tuning.job.scenarios import scenarios, scene_over
 from tuning.job.space import SearchSpace
@@ -57,9 +57,9 @@ class Problem(NamedTuple):
             width: Softness of the horizons, 1 is whole [samples].
         """
         rows, shared = self._arguments(z, width)
-        margins: MarginValues = over_starts(margin_slopes, self.structure)(rows, shared)
-        runs: RunValues = over_starts(run_slopes, self.structure)((*rows, margins.stable), shared)
-        return together(margins, runs)
+        margins: MarginValues = over_starts(margin_slopes, self.structure).launched(rows, shared)
+        runs: RunValues = over_starts(run_slopes, self.structure).launched(rows, shared, margins.stable)
+        return together(*fetched((margins, runs), len(z)))
 
     def evaluate(self, z: np.ndarray) -> Values:
         """The same with whole horizons and without the gradient (NaN), at a fraction of its price."""

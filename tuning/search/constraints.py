@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxmpc.metrics import Metrics
-from jaxmpc.xla.blocks import OverDevices
+from jaxmpc.xla.blocks import OverDevices, fetched
 from tuning.job.space import SearchSpace
 from tuning.objective.loss import margin_constraints, run_constraints
 from tuning.objective.measures import Data, ProblemStructure
@@ -44,7 +44,8 @@ class Constraints:
         # On a GPU all take as long as one; else a core has one.
         self._size = jax.local_device_count() if jax.default_backend() == "cpu" else searches
         self._margins, self._runs = programs_of(spectra.structure)
-        self._shared = self._runs.everywhere(spectra.data._replace(margins={}, hard={}, correction=None))
+        limits = jax.tree.map(np.float64, {"margins": spectra.data.margins, "hard": spectra.data.hard})
+        self._shared = self._runs.everywhere(spectra.data._replace(**limits, correction=None))
 
     @property
     def moved(self) -> np.ndarray:
@@ -61,9 +62,10 @@ class Constraints:
         parts = []
         for first in range(0, len(z), self._size):
             rows = np.minimum(np.arange(first, first + self._size), len(z) - 1)
-            own = self._own(z[rows], jax.tree.map(lambda field, rows=rows: field[rows], factors))
-            (held, held_slopes), stable = self._margins(own, self._shared)
-            done, done_slopes = self._runs((*own, stable), self._shared)
+            own = z[rows], jax.tree.map(lambda field, rows=rows: field[rows], factors)
+            margins = self._margins.launched(own, self._shared)
+            runs = self._runs.launched(own, self._shared, margins[1])
+            ((held, held_slopes), stable), (done, done_slopes) = fetched((margins, runs), self._size)
             values = np.concatenate([done[:, :1], held, done[:, 1:]], axis=1)
             slopes = np.concatenate([done_slopes[:, :1], held_slopes, done_slopes[:, 1:]], axis=1)
             parts.append(Constrained(values, slopes, stable))
@@ -81,12 +83,7 @@ class Constraints:
         data = self.spectra.data
         size = SearchSpace(data.base, self.spectra.structure.axes).size
         factors = jax.tree.map(lambda field: np.ones((self._size, *field.shape)), data.reference)
-        return self._own(np.zeros((self._size, size)), factors)
-
-    def _own(self, z: np.ndarray, factors: Metrics | None) -> tuple[Any, ...]:
-        """What each row has of its own: all have the same limits."""
-        limits = self.spectra.data.margins, self.spectra.data.hard
-        return z, *jax.tree.map(lambda limit: np.full(len(z), np.asarray(limit, float)), limits), factors
+        return np.zeros((self._size, size)), factors
 
 
 @cache
@@ -101,15 +98,15 @@ def moved_of(data: Data, structure: ProblemStructure) -> np.ndarray:
 
 
 def _of_margins(rows: Any, shared: Data, structure: ProblemStructure) -> Any:
-    z, margins, hard, factors = rows
-    data = shared._replace(margins=margins, hard=hard, correction=factors)
+    z, factors = rows
+    data = shared._replace(correction=factors)
     found, push, stable = jax.linearize(lambda z: margin_constraints(z, data, structure), z, has_aux=True)
     return (found, _slopes(push, z, moved_of(data, structure))), stable
 
 
 def _of_runs(rows: Any, shared: Data, structure: ProblemStructure) -> Any:
-    z, margins, hard, factors, stable = rows
-    data = shared._replace(margins=margins, hard=hard, correction=factors)
+    z, factors, stable = rows
+    data = shared._replace(correction=factors)
     found, push = jax.linearize(lambda z: run_constraints(z, data, structure, stable), z)
     return found, _slopes(push, z, moved_of(data, structure))
 
