@@ -79,8 +79,6 @@ class OverDevices:
         spec: Any = PartitionSpec
         split, whole = spec("device"), spec()
         self._devices, self._everywhere = mesh.size, NamedSharding(mesh, whole)
-        # Named, or what is left on the devices would go into another program than rows of numpy.
-        places = NamedSharding(mesh, split), self._everywhere
         self._there: dict[int, tuple[jax.Array, Any]] = {}
 
         def dealt(batch: Any, shared: Any) -> Callable[..., Any]:
@@ -89,7 +87,7 @@ class OverDevices:
             specs = {"in_specs": (split, whole), "out_specs": split}
             return jax.shard_map(run, mesh=mesh, check_vma=False, **specs)
 
-        self._dealt = JitShared(dealt, in_shardings=places)
+        self._dealt = JitShared(dealt)
 
     def everywhere(self, shared: Any) -> Any:
         """What all rows share, on every device; arrays of the call before are there already.
@@ -125,8 +123,8 @@ class OverDevices:
 
     def begin(self, batch: Any, shared: Any) -> Callable[[], Any]:
         """Have the devices begin; what is returned waits for them, and gives the result as numpy."""
-        found = self.launched(batch, shared)
-        return lambda: fetched(found, len(jax.tree.leaves(batch)[0]))
+        rows, found = len(jax.tree.leaves(batch)[0]), self.launched(batch, shared)
+        return lambda: fetched(found, rows)
 
     def __call__(self, batch: Any, shared: Any) -> Any:
         """What the function returns for every row, as numpy."""

@@ -11,16 +11,14 @@ import jax
 
 
 class JitShared:
-    """`jax.jit` for several threads, which may be compiled before there is anything to run it with."""
+    """`jax.jit` for several threads, which may be compiled before there is anything to run it with.
 
-    def __init__(self, made: Callable[..., Callable[..., Any]], in_shardings: Any = None) -> None:
-        """Wrap what makes a traceable function of arrays like those that it is given; it is asked once a kind.
+    A program of arrays of one kind runs on the devices that it was compiled for, wherever the arrays are by default.
+    """
 
-        Args:
-            made: That.
-            in_shardings: Where arguments are, as in `jax.jit`; None is wherever they come from.
-        """
-        self._made, self._places = made, {} if in_shardings is None else {"in_shardings": in_shardings}
+    def __init__(self, made: Callable[..., Callable[..., Any]]) -> None:
+        """Wrap what makes a traceable function of arrays like those that it is given; it is asked once a kind."""
+        self._made = made
         self._compiled: dict[Hashable, Any] = {}
         self._locks: dict[Hashable, Lock] = {}
 
@@ -34,7 +32,7 @@ class JitShared:
         if kind not in self._compiled:
             with self._locks.setdefault(kind, Lock()):
                 if kind not in self._compiled:
-                    jitted: Any = jax.jit(self._made(*args), **self._places)
+                    jitted: Any = jax.jit(self._made(*args))
                     # Itself: `jax.jit` would compile once more for what another program has left on the devices.
                     self._compiled[kind] = jitted.lower(*args).compile()
         compiled: Callable[..., Any] = self._compiled[kind]
