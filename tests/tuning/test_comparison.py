@@ -14,9 +14,9 @@ from tuning.objective import comparison
 def test_controllers_of_several_structures_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     batches = []
 
-    def told(batch: Params, *_: Any) -> Metrics:
-        batches.append(len(batch.Khat_s))
-        return Metrics(*[np.asarray(batch.Khat_s)] * len(Metrics._fields))
+    def told(alike: list[Params], *_: Any) -> Metrics:
+        batches.append(len(alike))
+        return Metrics(*[np.array([each.Khat_s for each in alike])] * len(Metrics._fields))
 
     monkeypatch.setattr(comparison, "_compare", told)
     stiffness = [100.0, 200.0, 300.0, 400.0]

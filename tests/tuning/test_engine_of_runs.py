@@ -1,5 +1,6 @@
 """Which engine runs a job's loops: the fastest where they are only evaluated, or the one that somebody names."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,30 @@ def test_so_do_the_comparisons(
     met = scenarios(spec.experiment, spec.scenarios, [0])
     comparison.versus(replace(spec, engine=engine), [spec.params], met)
     assert set(ran) == {expected}
+
+
+@pytest.mark.usefixtures("on_gpu")
+def test_one_program_of_the_kernel_serves_validation_and_what_is_held_out(
+    spec: TuneSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Filled up to what either needs, and each gets what was found of its own."""
+    shapes = set()
+
+    def run(batch: Any, scene: Any, world: ProgramSpec) -> Metrics:
+        scenes = len(scene.signals.force_ref)
+        shapes.add((len(batch.lam), scenes))
+        each = np.asarray(batch.lam)[:, None] + np.arange(scenes)
+        return Metrics(*[np.broadcast_to(each[..., None, None], (*each.shape, 3, 3))] * len(Metrics._fields))
+
+    monkeypatch.setattr(comparison, "_run", run)
+    job = replace(spec, tune=replace(spec.tune, starts=2, validation_seeds=(500, 501), heldout_seeds=(7, 8, 9)))
+    candidates = [dataclasses.replace(spec.params, lam=lam) for lam in (0.2, 0.3)]
+    for seeds, some in ((job.tune.validation_seeds, candidates), (job.tune.heldout_seeds, candidates[1:])):
+        before, each = comparison.versus(job, some, scenarios(job.experiment, job.scenarios, seeds))
+        for params, found in zip([job.before, *some], [before, *each], strict=True):
+            expected = float(np.mean(params.lam)) + np.arange(len(seeds))
+            np.testing.assert_allclose(found.rms[:, 0, 0], expected, rtol=1e-6)  # in float32
+    assert shapes == {(3, 3)}
 
 
 def test_the_command_line_hands_the_engine_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

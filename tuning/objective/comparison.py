@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,8 +25,25 @@ BLOCK, KERNEL_BLOCK = 12, 48
 """Scenarios that run at a time, in the kernel in the time of one: one program serves any number of them."""
 
 
+class Room(NamedTuple):
+    """What a program of the kernel is compiled for at least: copies fill it up, which takes it no longer to run."""
+
+    controllers: int = 1
+    """Their structure is one."""
+    scenarios: int = 1
+    """Their experiment is one."""
+
+
+NO_MORE = Room()
+"""What is asked for, and nothing besides."""
+
+
 def compare(
-    controllers: Sequence[Params], experiments: Sequence[Experiment], show: bool = False, engine: str | None = None
+    controllers: Sequence[Params],
+    experiments: Sequence[Experiment],
+    show: bool = False,
+    engine: str | None = None,
+    room: Room = NO_MORE,
 ) -> Metrics:
     """What is measured of several controllers in each scenario.
 
@@ -35,12 +52,13 @@ def compare(
         experiments: Scenarios of one experiment.
         show: Whether to show progress.
         engine: What runs them; None is the fastest here.
+        room: The least that programs of the kernel are compiled for.
 
     Returns:
         Each field (controllers, scenarios, stiffness, 3); NaN where a run left the finite numbers or 1 kN.
     """
     alike = by_structure(controllers)
-    parts = [_compare(Params.stack([controllers[i] for i in rows]), experiments, show, engine) for rows in alike]
+    parts = [_compare([controllers[i] for i in rows], experiments, show, engine, room) for rows in alike]
     order = np.argsort(np.concatenate(alike))
     whole: Metrics = jax.tree.map(lambda *fields: np.concatenate(fields)[order], *parts)
     return whole
@@ -54,7 +72,7 @@ def versus(
     Returns:
         Of the one before and of each candidate, every field (scenarios, stiffness, 3).
     """
-    parts = [compare(*pair, show, spec.engine) for pair in pairs_of(spec, candidates, met)]
+    parts = [compare(*pair, show, spec.engine, room_of(spec)) for pair in pairs_of(spec, candidates, met)]
     runs = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
     before, *each = (jax.tree.map(lambda field, i=i: field[i], runs) for i in range(1 + len(candidates)))
     return before, each
@@ -105,32 +123,45 @@ def _largest(asked: Mapping[str, float], after: Metrics, before: Metrics) -> np.
     return largest
 
 
-def compile_ahead(controllers: Sequence[Params], experiments: Sequence[Experiment], engine: str | None = None) -> None:
-    """Compile what `compare` runs of such controllers in such scenarios."""
+def room_of(spec: TuneSpec) -> Room:
+    """As much as a job's proof needs at most, so that validation and what is held out share their programs."""
+    seeds = max(len(spec.tune.validation_seeds), len(spec.tune.heldout_seeds))
+    return Room(1 + spec.tune.starts, min(seeds, KERNEL_BLOCK))
+
+
+def compile_ahead(spec: TuneSpec, controllers: Sequence[Params], experiments: Sequence[Experiment]) -> None:
+    """Compile what `versus` runs of such controllers in such scenarios."""
     for rows in by_structure(controllers):
-        batch, world = Params.stack([controllers[i] for i in rows]), _world(experiments, engine)
-        _run.compile(batch, scene_over(_blocks(experiments, world)[0]), world)
+        world, batch, blocks = _filled([controllers[i] for i in rows], experiments, spec.engine, room_of(spec))
+        _run.compile(batch, scene_over(blocks[0]), world)
 
 
-def _compare(batch: Params, experiments: Sequence[Experiment], show: bool, engine: str | None) -> Metrics:
-    world, count = _world(experiments, engine), len(experiments)
-    parts = []
+def _compare(
+    controllers: Sequence[Params], experiments: Sequence[Experiment], show: bool, engine: str | None, room: Room
+) -> Metrics:
+    """`compare` of controllers of one structure."""
+    world, batch, blocks = _filled(controllers, experiments, engine, room)
+    count, parts = len(experiments), []
     with progress("compare", count, "scenarios", show) as tick:
-        for met in _blocks(experiments, world):
+        for met in blocks:
             parts.append(jax.tree.map(np.asarray, _run(batch, scene_over(met), world)))
             tick(min(len(met) * len(parts), count), "")
-    found: Metrics = jax.tree.map(lambda *fields: np.concatenate(fields, axis=1)[:, :count], *parts)
+    found: Metrics = jax.tree.map(lambda *fields: np.concatenate(fields, 1)[: len(controllers), :count], *parts)
     return found
 
 
-def _blocks(experiments: Sequence[Experiment], world: ProgramSpec) -> list[list[Experiment]]:
-    """Those that run together; the last block is filled up with its own last scenario."""
-    last, size = len(experiments) - 1, min(KERNEL_BLOCK if world.engine == "kernel" else BLOCK, len(experiments))
-    return [[experiments[min(first + i, last)] for i in range(size)] for first in range(0, len(experiments), size)]
-
-
-def _world(experiments: Sequence[Experiment], engine: str | None) -> ProgramSpec:
-    return named(fastest(program_spec(experiments[0])), engine)
+def _filled(
+    controllers: Sequence[Params], experiments: Sequence[Experiment], engine: str | None, room: Room
+) -> tuple[ProgramSpec, Params, list[list[Experiment]]]:
+    """The world, controllers side by side, and scenarios that run together; the last of either fills up."""
+    world, count = named(fastest(program_spec(experiments[0])), engine), len(experiments)
+    if world.engine == "kernel":
+        least, size = room.controllers, min(KERNEL_BLOCK, max(room.scenarios, count))
+    else:
+        least, size = 1, min(BLOCK, count)
+    batch = Params.stack([*controllers, *[controllers[-1]] * (least - len(controllers))])
+    blocks = [[experiments[min(first + i, count - 1)] for i in range(size)] for first in range(0, count, size)]
+    return world, batch, blocks
 
 
 @partial(JitOnce, static_argnames=("world",))
