@@ -3,7 +3,6 @@
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import msgspec
 import numpy as np
 
@@ -72,10 +71,11 @@ def side_by_side(scenes: list[ScenarioData]) -> ScenarioData:
 
 def _axis_signals(experiment: Experiment, swinging: bool) -> AxisSignals:
     heart, noise, wanted, score = (np.moveaxis(signal, 1, 0) for signal in experiment.signals)
-    ahead: Any = jnp.asarray(_ahead(experiment, wanted))
-    late = jnp.asarray(np.broadcast_to(_late(experiment), score.shape)) if swinging else None
-    present = jnp.asarray(wanted[:, : experiment.steps]) if experiment.reference.preview else None
-    return AxisSignals(jnp.asarray(heart), jnp.asarray(noise), ahead, jnp.asarray(score), late=late, wanted=present)
+    late = np.broadcast_to(_late(experiment), score.shape) if swinging else None
+    present = wanted[:, : experiment.steps] if experiment.reference.preview else None
+    met: Any = AxisSignals(heart, noise, _ahead(experiment, wanted), score, late=late, wanted=present)
+    found: AxisSignals = jax.device_put(met)
+    return found
 
 
 def _late(experiment: Experiment) -> np.ndarray:

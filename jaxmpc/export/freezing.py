@@ -149,8 +149,9 @@ def _family(params: Params, loop: LoopPath) -> dict[str, Any]:
 
 def _tables(stiffness: np.ndarray, found: Mapping[str, Any]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
+    plain = {name: np.asarray(found[name]) for name in MARGINS}
     for i, K_s in enumerate(stiffness.tolist()):
-        row = {name: float(found[name][i]) for name in MARGINS}
+        row = {name: float(plain[name][i]) for name in MARGINS}
         if not row["spectral_radius"] < 1.0:
             remedy = "Tune it over this stiffness, or promise a narrower set."
             raise InputError("spectral radius", f"{row['spectral_radius']:.4f} at {K_s:.4g} N/m", "below 1", remedy)

@@ -89,7 +89,7 @@ def read_in(experiment: Experiment, trace: Mapping[str, Any]) -> list[ArmRun]:
 def _simulated(params: Params, experiment: Experiment, stiffness: tuple[float, ...]) -> dict[str, np.ndarray]:
     """Signals of one controller by name, each (stiffness, axes or joints, steps, …)."""
     scene, world = scenario_data(experiment)._replace(stiffness=np.asarray(stiffness)), program_spec(experiment)
-    batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], params)
+    batch = jax.tree.map(lambda leaf: np.asarray(leaf)[None], params)
     signals = _run(batch, scene, world=world)
     return {name: np.asarray(signal) for name, signal in signals._asdict().items() if signal is not None}
 

@@ -175,11 +175,11 @@ def margins_of_cells(cells: Cells, *, ideal: bool) -> Margins:
         found: Margins = jax.vmap(lambda cell: _margins_cut(cell, _cuts(ideal)))(cells)
         return found
     count, whole = len(cells.residual), padded(cells, CELLS)
-    cuts = jnp.array([0.0, 0.0 if ideal else 1.0])
+    cuts = np.array([0.0, 0.0 if ideal else 1.0])
     # Rows of numpy's arrays: each of JAX's would be an operation of its own, more than judging them takes.
     blocks = [jax.tree.map(lambda leaf, i=i: leaf[i : i + CELLS], whole) for i in range(0, count, CELLS)]
     parts = [_block(block, cuts) for block in blocks]
-    joined: Margins = jax.tree.map(lambda *rows: jnp.asarray(np.concatenate(rows)[:count]), *parts)
+    joined: Margins = jax.device_put(jax.tree.map(lambda *rows: np.concatenate(rows)[:count], *parts))
     return joined
 
 
@@ -209,7 +209,7 @@ def margins(
     check_type("params", params, Params, MAKE_PARAMS)
     check_type("path", path, LoopPath | None, "Take it of an experiment: experiment.loop_path().")
     values = _real(stiffness)
-    if not isinstance(values, jax.core.Tracer) and not bool(jnp.all((values > 0.0) & jnp.isfinite(values))):
+    if not isinstance(values, jax.core.Tracer) and not np.all((np.asarray(values) > 0.0) & np.isfinite(values)):
         raise InputError("stiffness", stiffness, "positive [N/m]", "Tissue has 300 to 1900.")
     if not values.size:
         raise InputError("stiffness", "none", "at least one [N/m]", "Tissue has 300 to 1900.")

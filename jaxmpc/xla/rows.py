@@ -27,7 +27,7 @@ def reshaped(tree: Tree, leading: int, *shape: int) -> Tree:
         if isinstance(leaf, jax.core.Tracer):
             return leaf.reshape((*shape, *leaf.shape[leading:]))
         values = np.asarray(leaf)
-        return jnp.asarray(values.reshape((*shape, *values.shape[leading:])))
+        return jax.device_put(values.reshape((*shape, *values.shape[leading:])))
 
     found: Tree = jax.tree.map(reshape, tree)
     return found
@@ -37,7 +37,9 @@ def repeated(tree: Tree, count: int) -> Tree:
     """Every row so many times, one after another."""
 
     def repeat(leaf: Any) -> Any:
-        return jnp.repeat(leaf, count, axis=0) if isinstance(leaf, jax.core.Tracer) else np.repeat(leaf, count, axis=0)
+        if isinstance(leaf, jax.core.Tracer):
+            return jnp.repeat(leaf, count, axis=0)
+        return np.repeat(np.asarray(leaf), count, axis=0)
 
     found: Tree = jax.tree.map(repeat, tree)
     return found

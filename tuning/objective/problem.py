@@ -6,7 +6,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import msgspec
 import numpy as np
 
@@ -132,8 +131,9 @@ class Problem(NamedTuple):
     def with_limits(self, limits: Mapping[str, np.ndarray]) -> "Problem":
         """The same with hard limits of each start's own, (starts,)."""
         data = self.data
-        margins = {name: jnp.asarray(limits.get(name, value), float) for name, value in data.margins.items()}
-        hard = {name: jnp.asarray(limits.get(name, value), float) for name, value in data.hard.items()}
+        margins = {name: np.asarray(limits.get(name, value), float) for name, value in data.margins.items()}
+        hard = {name: np.asarray(limits.get(name, value), float) for name, value in data.hard.items()}
+        margins, hard = jax.device_put((margins, hard))
         return self._replace(data=data._replace(margins=margins, hard=hard))
 
 
@@ -198,14 +198,14 @@ def problem_of(
         believed=believed,
         reference=Metrics(**dict.fromkeys(Metrics._fields, ones)),
     )
-    data = jax.tree.map(jnp.asarray, data)
+    data = jax.device_put(data)
     begun(Problem(data, structure))
     if spectral:
         data = data._replace(spectra=_spectra(met))
     if any(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in {**spec.soft, **spec.goals}):
         old = spec.met_before(met)
         world = structure.world if spectral else engined(old[0])
-        scene = jax.tree.map(jnp.asarray, _scene(old, spectral, swinging))
+        scene = jax.device_put(_scene(old, spectral, swinging))
         seen_before = data._replace(scene=scene, spectra=_spectra(old) if spectral else None)
         reference = measure(spec.before, seen_before, structure._replace(world=world))
         data = data._replace(reference=reference if spectral else _held(spec, reference))
@@ -219,16 +219,16 @@ def _held(spec: TuneSpec, reference: Metrics) -> Metrics:
         InputError: It was lost everywhere, so that every controller would be as good as any other; or beside a family
             on a tissue, of which a risk of 0 would make the mean over the tissues 0.
     """
-    peak = jnp.asarray(reference.peak_error)
-    held = jnp.all(jnp.isfinite(peak) & (peak < HIGHEST_FORCE), axis=2, keepdims=True)
+    plain = jax.device_get(reference)
+    held = np.all(plain.peak_error < HIGHEST_FORCE, axis=2, keepdims=True)
     on_tissue = held.any(axis=(1, 2))
     ratios = all(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in spec.soft)
     each_counts = ratios and spec.params.listening is not None
     if not (on_tissue.all() if each_counts else on_tissue.any()):
-        where = f" on {spec.experiment.stiffness[int(jnp.argmin(on_tissue))]:g} N/m" if on_tissue.any() else ""
+        where = f" on {spec.experiment.stiffness[int(np.argmin(on_tissue))]:g} N/m" if on_tissue.any() else ""
         remedy = "Compare with one that is stable, or minimise goals in units of their own, such as rms."
         raise InputError("baseline", f"lost in every run{where}", "held in one at least, for ratios to it", remedy)
-    found: Metrics = jax.tree.map(lambda field: jnp.where(held, field, jnp.nan), reference)
+    found: Metrics = jax.device_put(jax.tree.map(lambda field: np.where(held, field, np.nan), plain))
     return found
 
 
@@ -238,7 +238,7 @@ def _scene(met: Sequence[Experiment], spectral: bool, swinging: bool) -> Scenari
 
 
 def _spectra(met: Sequence[Experiment]) -> Spectrum:
-    found: Spectrum = jax.tree.map(jnp.asarray, stacked([*map(spectrum_of, met)]))
+    found: Spectrum = jax.device_put(stacked([*map(spectrum_of, met)]))
     return found
 
 

@@ -21,6 +21,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxmpc.xla.rows import repeated
 from tuning.job.goals import GOALS
 from tuning.objective.evaluated import HEADROOM, PENALTY
 from tuning.objective.loss import Values
@@ -86,8 +87,7 @@ def _of_constraints(problem: Problem, z: np.ndarray, starts: int, others: np.nda
         name: _moved(problem, name, np.array(1.0 / FACTOR)) for name in (*problem.data.margins, *problem.data.hard)
     }
     constraints = Constraints(problem.with_limits(harder), starts)
-    factors: Any = jax.tree.map(lambda field: np.repeat(field, len(vectors), axis=0), problem.data.correction)
-    seen = constraints(vectors, factors)
+    seen = constraints(vectors, repeated(problem.data.correction, len(vectors)))
 
     def slope(values: np.ndarray, slopes: np.ndarray) -> Slope:
         gradient = np.zeros(len(z))

@@ -1,6 +1,7 @@
 """How much the tuned controller depends on each of its parameters, tissue by tissue."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -59,8 +60,9 @@ def vector_of(result: FoundController) -> Float[np.ndarray, " size"]:
 @on_cpu()
 def log_slopes(space: SearchSpace, z: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
     """d log parameter / dz of each unconstrained number; 0 at a bound."""
-    at = jnp.asarray(z)
-    values, slopes = jax.jvp(lambda vector: space.decode(vector, 2.0), (at,), (jnp.ones_like(at),))
+    one = partial(space.decode, width=2.0)
+    # Compiled as one: operation by operation it takes longer than all else that is asked of a tissue.
+    values, slopes = jax.device_get(jax.jit(lambda at: jax.jvp(one, (at,), (jnp.ones_like(at),)))(z))
     relative = [np.broadcast_to(a.of(slopes) / a.of(values), a.size) for a in space.axes]
     return np.concatenate(relative)
 

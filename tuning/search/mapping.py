@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -107,7 +106,7 @@ def spectra_of(spec: TuneSpec, own: Problem, reference: Metrics) -> Problem:
         own: Its problem by spectra, as the descent has it.
         reference: That of its problem by runs.
     """
-    at = jnp.asarray(judged_cells(spec, coarse=False)[0]) if own.data.believed is None else own.data.judged_at
+    at = jax.device_put(judged_cells(spec, coarse=False)[0]) if own.data.believed is None else own.data.judged_at
     return own._replace(data=own.data._replace(judged_at=at, reference=reference))
 
 
@@ -125,7 +124,7 @@ def correction(fine: Metrics, coarse: Metrics) -> Metrics:
 def corrected_at(spectra: Problem, measured: Measured, z: Float[np.ndarray, " size"]) -> Problem:
     """The spectra as what was measured at one of the points corrects them: equal to the runs there, and with slopes."""
     row = int(np.nanargmin(np.abs(measured.z - z).max(axis=1)))
-    factors = jax.tree.map(lambda field: jnp.asarray(field[row : row + 1]), measured.correction)
+    factors = jax.device_put(jax.tree.map(lambda field: field[row : row + 1], measured.correction))
     return spectra._replace(data=spectra.data._replace(correction=factors))
 
 

@@ -13,6 +13,7 @@ import optax
 from jaxtyping import Array
 
 from jaxmpc.terminal.progress import progress
+from jaxmpc.xla.place import on_cpu
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem
 from tuning.search.state import NAME, SearchState, load, save
@@ -75,14 +76,15 @@ def optimiser() -> tuple[Callable[[Any], Any], Callable[..., Any]]:
         memory = jax.tree.map(lambda new, old: jnp.where(usable, new, old), moved, memory)
         return jnp.where(usable, z - rate * direction, z), memory, usable
 
-    return jax.jit(jax.vmap(chain.init)), jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
+    # A few numbers, which a GPU would take longer to be asked for than to move.
+    return on_cpu()(jax.jit(jax.vmap(chain.init))), on_cpu()(jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None))))
 
 
 def rehearse(starts: int, size: int) -> None:
     """Compile what moves so many starts."""
     begin, update = optimiser()
     z = np.zeros((starts, size))
-    update(z, begin(jnp.asarray(z)), z, np.float64(0.0))
+    update(z, begin(z), z, np.float64(0.0))
 
 
 def descend(
@@ -110,7 +112,7 @@ def descend(
     key = key or spec.digest
     begin, update = optimiser()
     goals = len(spec.margin_goals) + len(problem.hard_goals), len(problem.soft_goals)
-    state = SearchState.new(z, begin(jnp.asarray(z)), len(plan.widths), goals)
+    state = SearchState.new(z, begin(z), len(plan.widths), goals)
     if folder is not None:
         state = load(folder, key, state, name)
     saved = time.monotonic()
@@ -119,7 +121,7 @@ def descend(
             i = state.iteration
             if i == plan.polish:
                 # What Adam remembers of soft horizons would push the whole ones around.
-                state.memory = begin(jnp.asarray(state.z))
+                state.memory = begin(state.z)
             values = problem.differentiate(state.z, float(plan.widths[i]))
             state.record(values, plan.widths[i] == 1.0, WORTH, problem.hard_at(values.cells))
             moved, state.memory, usable = update(state.z, state.memory, values.gradient, plan.rates[i])
