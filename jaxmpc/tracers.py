@@ -21,20 +21,23 @@ import numpy as np
 from jaxmpc.beside import heard, spoken_with
 from jaxmpc.terminal.process import may_have_a_gpu, use_all_cores
 from jaxmpc.xla import store
-from jaxmpc.xla.place import on_cpu, platform
+from jaxmpc.xla.place import on_cpu, platform, wake_beside
 
 MOST, CORES = 4, 4
 """Most processes that trace, and how many cores are there for each: what they have traced is compiled beside them."""
 
 
-def trace_apart() -> None:
+def trace_apart(module: str) -> None:
     """Have processes trace what this one will run, where it may have a GPU and has cores to spare.
 
     For entry points, after `jaxmpc.terminal.process.use_all_cores`: they have the same devices.
+
+    Args:
+        module: Of the first program, which they import meanwhile.
     """
     processes, folder = min(MOST, len(os.sched_getaffinity(0)) // CORES), store.kept_in()
     if processes and folder and may_have_a_gpu():
-        store.trace_with(Tracers(processes, folder))
+        store.trace_with(Tracers(processes, folder, module))
 
 
 class Order(NamedTuple):
@@ -56,16 +59,17 @@ class Order(NamedTuple):
 class Tracers:
     """Some processes; they end with this one, however that ends."""
 
-    def __init__(self, processes: int, folder: Path) -> None:
+    def __init__(self, processes: int, folder: Path, module: str = __name__) -> None:
         """Have them begin, which takes them seconds.
 
         Args:
             processes: How many.
             folder: Where programs are kept.
+            module: What they import before they are asked, or whoever asks first waits for that.
         """
         self.folder, self._idle = folder, SimpleQueue[Connection]()
         for _ in range(processes):
-            self._idle.put(spoken_with(_serve, folder)[1])
+            self._idle.put(spoken_with(_serve, folder, module)[1])
 
     def __call__(
         self, name: str, function: Callable[..., Any], arguments: dict[str, Any], static: dict[str, Any]
@@ -97,12 +101,13 @@ class Tracers:
             self._idle.put(tracer)
 
 
-def _serve(orders: Connection, folder: Path) -> None:
+def _serve(orders: Connection, folder: Path, module: str) -> None:
     # Of any type: a GPU may take no further process, or a source have changed. Who has asked then traces, and tells.
     with suppress(Exception):
         use_all_cores()
         store.keep_in(folder)
-        jax.local_devices()  # a GPU takes its time to begin with a process
+        wake_beside()
+        import_module(module)
         while True:
             orders.send(_traced(orders.recv()))
 

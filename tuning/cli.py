@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     use_all_cores()
     from jaxmpc.tracers import trace_apart
 
-    trace_apart()
+    trace_apart("tuning.objective.problem")
     from jaxmpc.xla.place import wake_beside
 
     wake_beside()

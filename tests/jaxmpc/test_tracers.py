@@ -216,6 +216,19 @@ def test_they_end_with_the_one_they_serve(ending: signal.Signals, tmp_path: Path
         pytest.fail(f"{pid} goes on")
 
 
+def test_they_import_what_they_will_be_asked_for_before_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "told_of_itself.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w').close()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    tracer = tracers.Tracers(1, tmp_path / "traced", "told_of_itself")
+    deadline = time.monotonic() + 60.0  # a process and JAX, on a busy machine
+    while not (tmp_path / "imported").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert (tmp_path / "imported").exists()
+    del tracer
+
+
 @pytest.mark.parametrize(
     ("cores", "gpu", "asked"), [(64, True, 4), (16, True, 4), (8, True, 2), (3, True, 0), (64, False, 0)]
 )
@@ -223,13 +236,13 @@ def test_they_are_asked_for_where_there_are_cores_for_them(
     cores: int, gpu: bool, asked: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = []
-    monkeypatch.setattr(tracers, "Tracers", lambda count, folder: found.append((count, folder)))
+    monkeypatch.setattr(tracers, "Tracers", lambda *asked: found.append(asked))
     monkeypatch.setattr(tracers, "may_have_a_gpu", lambda: gpu)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
     monkeypatch.setattr(store, "_tracers", None)
     monkeypatch.setattr(store, "_folder", tmp_path)
-    tracers.trace_apart()
-    assert found == ([(asked, tmp_path)] if asked else [])
+    tracers.trace_apart(__name__)
+    assert found == ([(asked, tmp_path, __name__)] if asked else [])
     monkeypatch.setattr(store, "_folder", None)
-    tracers.trace_apart()  # nothing is kept, and nobody could hand it over
+    tracers.trace_apart(__name__)  # nothing is kept, and nobody could hand it over
     assert len(found) == bool(asked)

@@ -1,5 +1,6 @@
 """What is compiled beside the search is what its proof runs."""
 
+from concurrent.futures import Executor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,6 +20,7 @@ from tuning.job.scenarios import scenarios
 from tuning.objective import comparison
 from tuning.proof import flyable, found, split
 from tuning.proof.ahead import programs
+from tuning.search import ahead
 from tuning.search.run import SearchHistory
 
 
@@ -109,3 +111,30 @@ def test_margins_causes_and_curves_run_what_was_rehearsed() -> None:
         jax.monitoring.unregister_event_duration_listener(heard)
     assert compiled == []
     assert np.isfinite(result.judged(1).margins.M_s).all()
+
+
+@pytest.mark.parametrize(("backend", "proof"), [("gpu", ["proof"]), ("cpu", [])])
+def test_a_gpus_idle_cores_compile_the_proof_right_behind_the_search(
+    backend: str, proof: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a CPU the descent needs the cores: there who searches has it begin later."""
+    compiled: list[str] = []
+
+    def compiling(*_: Any) -> None:
+        compiled.append("search")
+
+    class Told:
+        compile_margins = compile_runs = compile_evaluation = compile_cells = staticmethod(compiling)
+        data = SimpleNamespace(reference=None)
+
+    class AtOnce(Executor):
+        def submit(self, task: Any, /, *arguments: Any, **named: Any) -> Any:
+            task(*arguments, **named)
+
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    monkeypatch.setattr(ahead, "problem_of", lambda *_, begun, **__: begun(Told))
+    monkeypatch.setattr(ahead, "spectra_of", lambda *_: Told)
+    monkeypatch.setattr(ahead, "Constraints", lambda *_: Told)
+    own: Any = Told
+    ahead.readied(job(), own, AtOnce(), lambda _: [lambda: compiled.append("proof")])
+    assert compiled == ["search"] * 4 + proof

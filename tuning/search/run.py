@@ -16,7 +16,7 @@ from jaxmpc.xla.place import wake
 from jaxmpc.xla.precision import in_float64
 from tuning.job.spec import TuneSpec
 from tuning.objective.problem import Problem, problem_of, training
-from tuning.search.ahead import Tasks, begin, readied, threads
+from tuning.search.ahead import Tasks, begin, early, readied, threads
 from tuning.search.mapping import PROPOSED, refine, spectra_of
 from tuning.search.optimise import descend, rehearse, schedule
 from tuning.search.state import SearchState, check_states
@@ -90,7 +90,7 @@ def run_search(
                 pool.submit(in_float64(rehearse), _starts(job), job.space.size)
                 # Of several, nobody knows which will win.
                 if job.on_arm and len(jobs) == 1:
-                    ahead.append(readied(job, problem, pool))
+                    ahead.append(readied(job, problem, pool, after))
 
             met = training(job, job.tune.train_seeds)
             return problem_of(job, met, spectral=job.on_arm, begun=begun)
@@ -98,7 +98,7 @@ def run_search(
         problems = [*map(described, jobs)]
         each = [*zip(jobs, problems, strict=True)]
         starts = [screened(job, problem, _starts(job), show) for job, problem in each]
-        if ahead:
+        if ahead and not early():
             begin(jobs[0], after, pool)
         firsts = [proposal(job, problem, z, folder, show) for (job, problem), z in zip(each, starts, strict=True)]
         orders = {
@@ -111,8 +111,9 @@ def run_search(
         job, steps = jobs[best], [firsts[best]]
         if job.on_arm:
             if not ahead:
-                ahead.append(readied(job, problems[best], pool))
-                begin(job, after, pool)
+                ahead.append(readied(job, problems[best], pool, after))
+                if not early():
+                    begin(job, after, pool)
             runs = ahead[0].result()
             spectra = spectra_of(job, problems[best], runs.data.reference)
             z = proposed(job, steps[0].state, PROPOSED * job.tune.starts)

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     use_all_cores()
     from jaxmpc.tracers import trace_apart
 
-    trace_apart()
+    trace_apart("tuning.trials.program")
     from jaxmpc.beside import Beside, forks_of
 
     if may_have_a_gpu():
