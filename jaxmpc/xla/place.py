@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any
 
 import jax
@@ -31,5 +31,13 @@ def wake() -> None:
 
 
 def wake_beside() -> None:
-    """The same in a thread of its own, for entry points, as soon as devices are chosen."""
-    threading.Thread(target=wake, daemon=True).start()
+    """The same in a thread of its own, for entry points, as soon as devices are chosen.
+
+    A device that cannot begin is heard of by who computes first.
+    """
+
+    def woken() -> None:
+        with suppress(Exception):
+            wake()
+
+    threading.Thread(target=woken, daemon=True).start()
