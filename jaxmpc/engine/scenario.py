@@ -14,6 +14,7 @@ from jaxmpc.experiment.tables import softening
 from jaxmpc.loop.arm import ArmSignals
 from jaxmpc.loop.linear import AxisSignals
 from jaxmpc.world.heart.motion import displacement
+from jaxmpc.xla.place import placed
 from jaxmpc.xla.plain import library
 
 
@@ -74,7 +75,7 @@ def _axis_signals(experiment: Experiment, swinging: bool) -> AxisSignals:
     late = np.broadcast_to(_late(experiment), score.shape) if swinging else None
     present = wanted[:, : experiment.steps] if experiment.reference.preview else None
     met: Any = AxisSignals(heart, noise, _ahead(experiment, wanted), score, late=late, wanted=present)
-    found: AxisSignals = jax.device_put(met)
+    found: AxisSignals = placed(met)
     return found
 
 

@@ -29,6 +29,7 @@ from jaxmpc.world.loop_path import LoopPath, loop_path
 from jaxmpc.xla.blocks import padded
 from jaxmpc.xla.extremes import greatest, least
 from jaxmpc.xla.once import JitOnce
+from jaxmpc.xla.place import placed
 from jaxmpc.xla.precision import in_float64
 from jaxmpc.xla.rows import repeated, reshaped, traced
 
@@ -179,7 +180,7 @@ def margins_of_cells(cells: Cells, *, ideal: bool) -> Margins:
     # Rows of numpy's arrays: each of JAX's would be an operation of its own, more than judging them takes.
     blocks = [jax.tree.map(lambda leaf, i=i: leaf[i : i + CELLS], whole) for i in range(0, count, CELLS)]
     parts = [_block(block, cuts) for block in blocks]
-    joined: Margins = jax.device_put(jax.tree.map(lambda *rows: np.concatenate(rows)[:count], *parts))
+    joined: Margins = placed(jax.tree.map(lambda *rows: np.concatenate(rows)[:count], *parts))
     return joined
 
 

@@ -3,10 +3,12 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
+
+Tree = TypeVar("Tree")
 
 
 @contextmanager
@@ -23,6 +25,16 @@ def platform() -> str:
     if chosen is None:
         return jax.default_backend()
     return chosen if isinstance(chosen, str) else str(chosen.platform)
+
+
+def placed(tree: Tree) -> Tree:
+    """A tree's arrays where programs run; `jnp.asarray`, which says the same, compiles a program for each shape.
+
+    They are copies: JAX may share numpy's memory or read it later, and somebody may change it.
+    """
+    own = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, tree)
+    there: Tree = jax.device_put(own)
+    return there
 
 
 def wake() -> None:

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxmpc.xla.place import placed
+
 Tree = TypeVar("Tree")
 
 
@@ -27,7 +29,7 @@ def reshaped(tree: Tree, leading: int, *shape: int) -> Tree:
         if isinstance(leaf, jax.core.Tracer):
             return leaf.reshape((*shape, *leaf.shape[leading:]))
         values = np.asarray(leaf)
-        return jax.device_put(values.reshape((*shape, *values.shape[leading:])))
+        return placed(values.reshape((*shape, *values.shape[leading:])))
 
     found: Tree = jax.tree.map(reshape, tree)
     return found

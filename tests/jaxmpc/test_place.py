@@ -4,10 +4,11 @@ import threading
 from typing import Any
 
 import jax
+import numpy as np
 import pytest
 
 from jaxmpc.xla import place
-from jaxmpc.xla.place import on_cpu, platform
+from jaxmpc.xla.place import on_cpu, placed, platform
 
 
 @on_cpu()
@@ -50,3 +51,28 @@ def test_a_device_that_cannot_begin_prints_nothing_beside_who_computes(monkeypat
         thread.join()
     assert begun.wait(10.0)
     assert told == []
+
+
+@pytest.mark.parametrize("size", [1, 64, 100_000])
+def test_what_is_placed_is_a_copy_and_compiles_nothing(size: int) -> None:
+    compiled: list[str] = []
+
+    def heard(event: str, seconds: float, **_: str | int) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled.append(event)
+
+    mine = [np.zeros(size + i) for i in range(5)]  # of some the memory could be shared
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    try:
+        there = placed(mine)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(heard)
+    for each in mine:
+        each += 1.0
+    assert compiled == []
+    assert not any(np.any(each) for each in there)
+
+
+def test_inside_a_program_it_is_a_number_of_that_program() -> None:
+    doubled = jax.jit(lambda x: 2.0 * x + placed(np.ones(3)))
+    np.testing.assert_array_equal(doubled(np.arange(3.0)), [1.0, 3.0, 5.0])

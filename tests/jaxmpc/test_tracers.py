@@ -226,7 +226,7 @@ def test_they_import_what_they_will_be_asked_for_before_they_are(
     while not (tmp_path / "imported").exists() and time.monotonic() < deadline:
         time.sleep(0.1)
     assert (tmp_path / "imported").exists()
-    del tracer
+    del tracer  # which ends with whoever has it
 
 
 @pytest.mark.parametrize(

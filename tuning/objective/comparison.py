@@ -16,6 +16,7 @@ from jaxmpc.experiment import Experiment
 from jaxmpc.metrics import Metrics
 from jaxmpc.synthesis.params import Params, by_structure
 from jaxmpc.terminal.progress import progress
+from jaxmpc.xla.blocks import padded
 from jaxmpc.xla.once import JitOnce
 from tuning.job.goals import OVERSHOOT, run_goals
 from tuning.job.scenarios import scene_over
@@ -159,7 +160,7 @@ def _filled(
         least, size = room.controllers, min(KERNEL_BLOCK, max(room.scenarios, count))
     else:
         least, size = 1, min(BLOCK, count)
-    batch = Params.stack([*controllers, *[controllers[-1]] * (least - len(controllers))])
+    batch = padded(Params.stack(controllers), least)
     blocks = [[experiments[min(first + i, count - 1)] for i in range(size)] for first in range(0, count, size)]
     return world, batch, blocks
 

@@ -18,6 +18,7 @@ from jaxmpc.loop.linear import HIGHEST_FORCE
 from jaxmpc.metrics import Metrics
 from jaxmpc.spectra.spectrum import Spectrum, spectrum_of, stacked
 from jaxmpc.xla.blocks import OverDevices, fetched
+from jaxmpc.xla.place import placed
 from tuning.job.goals import OVERSHOOT, RATIO, RUN_GOALS, run_goals
 from tuning.job.scenarios import scenarios, scene_over
 from tuning.job.space import SearchSpace
@@ -133,7 +134,7 @@ class Problem(NamedTuple):
         data = self.data
         margins = {name: np.asarray(limits.get(name, value), float) for name, value in data.margins.items()}
         hard = {name: np.asarray(limits.get(name, value), float) for name, value in data.hard.items()}
-        margins, hard = jax.device_put((margins, hard))
+        margins, hard = placed((margins, hard))
         return self._replace(data=data._replace(margins=margins, hard=hard))
 
 
@@ -198,14 +199,14 @@ def problem_of(
         believed=believed,
         reference=Metrics(**dict.fromkeys(Metrics._fields, ones)),
     )
-    data = jax.device_put(data)
+    data = placed(data)
     begun(Problem(data, structure))
     if spectral:
         data = data._replace(spectra=_spectra(met))
     if any(name in RUN_GOALS and RUN_GOALS[name].part == RATIO for name in {**spec.soft, **spec.goals}):
         old = spec.met_before(met)
         world = structure.world if spectral else engined(old[0])
-        scene = jax.device_put(_scene(old, spectral, swinging))
+        scene = placed(_scene(old, spectral, swinging))
         seen_before = data._replace(scene=scene, spectra=_spectra(old) if spectral else None)
         reference = measure(spec.before, seen_before, structure._replace(world=world))
         data = data._replace(reference=reference if spectral else _held(spec, reference))
@@ -228,7 +229,7 @@ def _held(spec: TuneSpec, reference: Metrics) -> Metrics:
         where = f" on {spec.experiment.stiffness[int(np.argmin(on_tissue))]:g} N/m" if on_tissue.any() else ""
         remedy = "Compare with one that is stable, or minimise goals in units of their own, such as rms."
         raise InputError("baseline", f"lost in every run{where}", "held in one at least, for ratios to it", remedy)
-    found: Metrics = jax.device_put(jax.tree.map(lambda field: np.where(held, field, np.nan), plain))
+    found: Metrics = placed(jax.tree.map(lambda field: np.where(held, field, np.nan), plain))
     return found
 
 
@@ -238,7 +239,7 @@ def _scene(met: Sequence[Experiment], spectral: bool, swinging: bool) -> Scenari
 
 
 def _spectra(met: Sequence[Experiment]) -> Spectrum:
-    found: Spectrum = jax.device_put(stacked([*map(spectrum_of, met)]))
+    found: Spectrum = placed(stacked([*map(spectrum_of, met)]))
     return found
 
 

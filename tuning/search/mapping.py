@@ -20,6 +20,7 @@ from jaxtyping import Float
 
 from jaxmpc.metrics import Metrics
 from jaxmpc.terminal.progress import progress
+from jaxmpc.xla.place import placed
 from tuning.job.spec import TuneSpec
 from tuning.objective.judged_cells import judged_cells
 from tuning.objective.loss import Values
@@ -106,7 +107,7 @@ def spectra_of(spec: TuneSpec, own: Problem, reference: Metrics) -> Problem:
         own: Its problem by spectra, as the descent has it.
         reference: That of its problem by runs.
     """
-    at = jax.device_put(judged_cells(spec, coarse=False)[0]) if own.data.believed is None else own.data.judged_at
+    at = placed(judged_cells(spec, coarse=False)[0]) if own.data.believed is None else own.data.judged_at
     return own._replace(data=own.data._replace(judged_at=at, reference=reference))
 
 
@@ -124,7 +125,7 @@ def correction(fine: Metrics, coarse: Metrics) -> Metrics:
 def corrected_at(spectra: Problem, measured: Measured, z: Float[np.ndarray, " size"]) -> Problem:
     """The spectra as what was measured at one of the points corrects them: equal to the runs there, and with slopes."""
     row = int(np.nanargmin(np.abs(measured.z - z).max(axis=1)))
-    factors = jax.device_put(jax.tree.map(lambda field: field[row : row + 1], measured.correction))
+    factors = placed(jax.tree.map(lambda field: field[row : row + 1], measured.correction))
     return spectra._replace(data=spectra.data._replace(correction=factors))
 
 
